@@ -37,6 +37,7 @@ from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
     GYROSCOPE,
+    HIDDEN,
     POWERS,
     UNIT_K,
     Fit,
@@ -85,6 +86,7 @@ class Learnt:
     evidence: the figures of that decision. covariance: (9, 9) of bias and scale, as an accelerometer's record
     has it, else None. t, errors, errors_sd: (n,) times of the rests, s, errors of predicting each from those
     before it, and standard uncertainties of the predictions. steps: s, the rests at which the bias stepped.
+    doubted: s, the rests that disagree with those before and after them.
     """
 
     sensor: Sensor
@@ -99,6 +101,7 @@ class Learnt:
     errors: Array
     errors_sd: Array
     steps: tuple[float, ...] = ()
+    doubted: tuple[float, ...] = ()
 
     @property
     def reason(self) -> str:
@@ -148,19 +151,29 @@ def learn_accelerometer(
     """
     if len(memory) < LEAST_RESTS:
         return None
-    shifted = memory.force - model.bias
+    value, level, towards = _norms(np.zeros((len(memory), 3)), memory, model)
+    level_sd = _level_spread(record, value)
+    sd = np.linalg.norm(towards * memory.force_sd, axis=1)
+    linear = partial(_norms, memory=memory, model=model)
+    seen = Observations(memory.t, memory.celsius, value, sd, level, level_sd, towards, linear=linear)
+    middle = model.bias
+    return _learn(Sensor.ACCELEROMETER, seen, memory, middle=middle, record=record, t=t, settings=settings)
+
+
+def _norms(biases: Array, memory: Memory, model: SensorModel) -> tuple[Array, Array, Array]:
+    """Return what rests show of a calibration that is near a model with biases (n, 3) in excess of its own.
+
+    The result is local gravity less the calibrated norm, (n, 1), linear in the bias in excess; its
+    derivatives by bias and scale, (n, 9); and those by the bias alone, (n, 3).
+    """
+    shifted = memory.force - model.bias - biases
     calibrated = shifted @ model.scale.T
     norm = np.linalg.norm(calibrated, axis=1)
     up = calibrated / norm[:, None]
     towards = -up @ model.scale
     by_scale = [up[:, a] * shifted[:, b] + (up[:, b] * shifted[:, a] if a != b else 0.0) for a, b in _PAIRS]
-    level = np.column_stack((towards, *by_scale))
-    level_sd = _level_spread(record)
-    sd = np.linalg.norm(towards * memory.force_sd, axis=1)
-    value = (memory.gravity - norm)[:, None]
-    seen = Observations(memory.t, memory.celsius, value, sd, level, level_sd, towards)
-    middle = model.bias
-    return _learn(Sensor.ACCELEROMETER, seen, memory, middle=middle, record=record, t=t, settings=settings)
+    value = memory.gravity - norm + (towards * biases).sum(axis=1)
+    return value[:, None], np.column_stack((towards, *by_scale)), towards
 
 
 _RATE_SPREAD, _FORCE_SPREAD, _SCALE_SPREAD = 0.05, 0.1, 0.01
@@ -168,12 +181,18 @@ _RATE_SPREAD, _FORCE_SPREAD, _SCALE_SPREAD = 0.05, 0.1, 0.01
 nothing of temperature from the true bias, m/s^2, and scale."""
 
 
-def _level_spread(record: CalibrationRecord | None) -> Array:
+_FIRST = 8
+"""Oldest rests, whose median says how far the bias was from that of now when the memory begins."""
+
+
+def _level_spread(record: CalibrationRecord | None, value: Array) -> Array:
     """Return how far the parameters of a calibration in use may be off, (9,), bias first.
 
-    One that a prior entered is known badly along some directions, and says so.
+    value: (n, 1) what rests show, oldest first. One that a prior entered is known badly along some
+    directions, and says so.
     """
-    usual = np.array([_FORCE_SPREAD] * 3 + [_SCALE_SPREAD] * 6)
+    shown = HIDDEN * float(np.median(np.abs(value[:_FIRST])))
+    usual = np.array([max(_FORCE_SPREAD, shown)] * 3 + [_SCALE_SPREAD] * 6)
     part = None if record is None else record.accelerometer
     if part is None or not part.with_prior or part.covariance is None:
         return usual
@@ -290,8 +309,7 @@ def _undecided(
     start = None if before is None else before.wander
     if term is not None and known_now:
         offset, told = driver.offset(term), told_curve(term)[1:]
-        along = offset if seen.towards is None else (offset * seen.towards).sum(axis=1)[:, None]
-        seen = replace(seen, value=seen.value - along)
+        seen = seen.less(offset)
     fit = curved = learn(seen, model, t, start)
     if known_now and driver.mostly_known:
         priors = _after(model.priors, None if term is None else before)
@@ -386,7 +404,8 @@ def _learnt(
         t,
         frozen(np.sqrt((fit.errors**2).mean(axis=1))),
         fit.errors_sd,
-        fit.steps,
+        tuple(step.t for step in fit.steps),
+        tuple(t[list(fit.doubted)].tolist()),
     )
 
 

@@ -98,6 +98,7 @@ class Driver:
         known = 0.0 if before is None else float(np.linalg.norm(before.curve[0])) / UNIT_K
         here = self._with_lag(seen, lag_s, known)
         fit = learn(here, model, t, start)
+        seen = seen.about(fit.course)
         slope = float(np.linalg.norm(fit.curve[0])) / UNIT_K
         scores = {}
         for other in (0.0, *self.lags_s):

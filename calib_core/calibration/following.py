@@ -38,18 +38,21 @@ from stillcal.calib_core.calibration.record import (
     Validity,
 )
 from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import Memory
-from stillcal.calib_core.temperature.regression import ACCELEROMETER
 
 STEP_S = 12 * BLOCK_S
 """s: for so long after a step the calibration may be replaced on the evidence of the rests since then."""
 
-LARGEST_KNOCK = 3 * ACCELEROMETER.step
-"""m/s^2, by axis: three standard deviations of the step that is expected."""
+LARGEST_KNOCK = 0.5 * STANDARD
+"""m/s^2, by axis: ten times the zero offset of data sheets (40 mg, Bosch BMI160)."""
+
+_BAD_SHARE = 0.2
+"""Share of the rests since a step that may be bad ones. Another phone's scale leaves more that disagree."""
 
 _FEW_HOURS = 2
 """Hours with later rests that suffice against a calibration that a prior entered: it assumes more."""
@@ -159,8 +162,8 @@ def _stepped(
     """Return why the learnt calibration replaces the one in use after a step of its bias.
 
     Few rests suffice where they leave no doubt. Each is predicted from those before it. A bias that steps
-    again and again, or by more than LARGEST_KNOCK, is not that of a phone that was knocked: for such a one a
-    full calibration has to be found.
+    again and again, or by more than LARGEST_KNOCK, or after which rests disagree with each other, is not that
+    of a phone that was knocked: for such a one a full calibration has to be found.
     """
     steps = [step for step in learnt.steps if t - step <= STEP_S]
     knocked = np.abs(learnt.bias - part.bias).max() <= LARGEST_KNOCK
@@ -171,7 +174,8 @@ def _stepped(
     after = learnt.t > since
     old, new, sd = _residuals(record, part, memory)[after], learnt.errors[after], learnt.errors_sd[after]
     gains = (old**2 - new**2) / (2 * sd**2)
-    if not beyond_doubt(gains):
+    disagreeing = sum(t_doubted > since for t_doubted in learnt.doubted)
+    if not beyond_doubt(gains) or disagreeing > _BAD_SHARE * int(after.sum()):
         return "", {}
     n = int(after.sum())
     evidence: Evidence = {"stepped_at": stepped, "rests": n, "gain": float(gains.sum())}

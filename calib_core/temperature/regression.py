@@ -11,7 +11,8 @@ for the curve is taken from these errors.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class Priors:
 
     curve: standard deviations of c1, c2, c3. white, flicker, walk: medians of the scatter of single rests, of
     each process of the flicker's bank, and of the walk of a day; `spread` is their standard deviation in
-    natural logarithms. step: standard deviation of a step, as a knock leaves it.
+    natural logarithms. step: standard deviation of a step, as a knock leaves it, before any rest shows more.
     """
 
     curve: tuple[float, float, float]
@@ -86,7 +87,8 @@ class Observations:
     t: (n,) s. celsius: (n,) degC, NaN where unknown. value: (n, k), k biases that share one model, or k = 1
     where each rest shows only the component along `towards` (n, 3). sd: (n,), as the rests state it. level:
     (n, p) what is unknown besides, the bias first, with prior standard deviations level_sd (p,). more: (n,)
-    uncertainty beyond that of the rest itself.
+    uncertainty beyond that of the rest itself. near: (n, 3) biases about which rests were made
+    linear. linear: makes value, level and towards for other ones, None where nothing needs it.
     """
 
     t: Array
@@ -97,6 +99,28 @@ class Observations:
     level_sd: Array
     towards: Array | None = None
     more: Array | float = 0.0
+    linear: Callable[[Array], tuple[Array, Array, Array]] | None = None
+    near: Array | float = 0.0
+
+    def about(self, biases: Array) -> Observations:
+        """Return the observations made linear about biases (n, 3), one for each rest."""
+        if self.linear is None:
+            return self
+        value, level, towards = self.linear(biases)
+        return replace(self, value=value, level=level, towards=towards, near=biases)
+
+    def less(self, offset: Array) -> Observations:
+        """Return the observations of the bias without an offset (n, 3) that is known."""
+        linear, towards = self.linear, self.towards
+        if linear is None or towards is None:
+            return replace(self, value=self.value - offset)
+
+        def without(biases: Array) -> tuple[Array, Array, Array]:
+            value, level, along = linear(biases + offset)
+            return value - (offset * along).sum(axis=1)[:, None], level, along
+
+        value = self.value - (offset * towards).sum(axis=1)[:, None]
+        return replace(self, value=value, linear=without, near=self.near - offset)
 
     def wider(self, more: Array) -> Observations:
         """Return the observations with rests uncertain by `more` (n,) beyond what they state."""
@@ -109,6 +133,14 @@ class Observations:
     def variances(self, wander: Wander) -> Array:
         """Return the variance of each rest about the wandering bias, (n,)."""
         return np.asarray((wander.declared * self.sd) ** 2 + np.square(self.more) + wander.white**2)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A step of the bias. t: s, of the first rest after it. sd: its standard deviation by axis."""
+
+    t: float
+    sd: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,8 +163,9 @@ class Fit:
     model: what was fitted. wander: that of greatest likelihood. log_likelihood: of it, prior included.
     errors: (n, k), of predicting each rest from those before it, and errors_sd (n,). level: (p, k) what is
     unknown besides the curve, its bias as it is now; curve: (3, 3) c1, c2, c3 by axis. covariance: of level
-    and then the curve, axes innermost. steps: s, where the bias stepped. doubted: rows of rests that disagree
-    with those before and after them.
+    and then the curve, axes innermost. course: (n, 3) the bias at every rest, in excess of what the values
+    count from; empty where each rest shows all of it. steps: where the bias stepped. doubted: rows of rests
+    that disagree with those before and after them.
     """
 
     model: Model
@@ -143,7 +176,8 @@ class Fit:
     level: Array
     curve: Array
     covariance: Array
-    steps: tuple[float, ...] = ()
+    course: Array = field(default_factory=lambda: frozen(np.empty((0, 3))))
+    steps: tuple[Step, ...] = ()
     doubted: tuple[int, ...] = ()
 
     @property
@@ -198,7 +232,7 @@ class Regression:
     def fit(
         self,
         now: float,
-        steps: tuple[float, ...] = (),
+        steps: tuple[Step, ...] = (),
         start: Wander | None = None,
         search: bool = True,
     ) -> Fit:
@@ -224,20 +258,36 @@ class Regression:
             frozen(mean[:p]),
             frozen(mean[p:].reshape(-1, 3)),
             frozen(covariance),
+            self._course(wander, factor, whitened, steps),
             steps,
         )
 
-    def _fill_covariance(self, total: Array, wander: Wander, steps: tuple[float, ...]) -> None:
+    def _fill_covariance(self, total: Array, wander: Wander, steps: tuple[Step, ...]) -> None:
         """Write the covariance of all values into `total` (n, n)."""
         np.multiply(self._flicker, wander.flicker**2, out=total)
         total += self._fixed
         total += wander.walk**2 * self._walk
         for step in steps:
-            after = (self._seen.t >= step).astype(float)
-            total += self._priors.step**2 * np.outer(after, after) * self._shared
+            after = (self._seen.t >= step.t).astype(float)
+            total += step.sd**2 * np.outer(after, after) * self._shared
         np.einsum("ii->i", total)[:] += self._seen.variances(wander)
 
-    def _factor(self, wander: Wander, steps: tuple[float, ...]) -> tuple[Array, Array]:
+    def _course(self, wander: Wander, factor: Array, whitened: Array, steps: tuple[Step, ...]) -> Array:
+        """Return the bias (n, 3) at every rest that shows one direction of it, as all rests show it."""
+        seen = self._seen
+        if seen.towards is None:
+            return frozen(np.empty((0, 3)))
+        basis = curve_basis(seen.celsius, self._model.reference) * self._model.with_curve
+        since = seen.t - self._start
+        shared = seen.level_sd[0] ** 2 + (basis * np.square(self._priors.curve)) @ basis.T
+        shared = shared + wander.covariance(since, since)
+        for step in steps:
+            after = (seen.t >= step.t).astype(float)
+            shared = shared + step.sd**2 * np.outer(after, after)
+        weights = np.linalg.solve(factor.T, whitened)
+        return frozen(shared @ (weights * seen.towards))
+
+    def _factor(self, wander: Wander, steps: tuple[Step, ...]) -> tuple[Array, Array]:
         """Return the Cholesky factor L of the covariance and L^-1 value, both from one decomposition."""
         value = self._seen.value
         n, k = value.shape
@@ -249,7 +299,7 @@ class Regression:
         factor = np.linalg.cholesky(bordered)
         return factor[:n, :n], factor[n:, :n].T
 
-    def _score(self, wander: Wander, steps: tuple[float, ...]) -> float:
+    def _score(self, wander: Wander, steps: tuple[Step, ...]) -> float:
         """Return the log likelihood of the rests, with the log prior of the wander."""
         try:
             factor, whitened = self._factor(wander, steps)
@@ -266,7 +316,7 @@ class Regression:
         declared = np.log(wander.declared / _USUALLY_DECLARED) / _DECLARED_SPREAD
         return np.append(np.log(ratios) / p.spread, declared)
 
-    def _likeliest(self, steps: tuple[float, ...], start: Wander | None) -> tuple[Wander, float]:
+    def _likeliest(self, steps: tuple[Step, ...], start: Wander | None) -> tuple[Wander, float]:
         """Return the wander of greatest posterior, by a search along its logarithms, and its score."""
         p = self._priors
         best = start or Wander(p.white, p.flicker, p.walk / np.sqrt(86400.0))
@@ -287,14 +337,14 @@ class Regression:
         return best, score
 
     def _present(
-        self, wander: Wander, factor: Array, whitened: Array, now: float, steps: tuple[float, ...]
+        self, wander: Wander, factor: Array, whitened: Array, now: float, steps: tuple[Step, ...]
     ) -> tuple[Array, Array]:
         """Return level now and curve, and their covariance."""
         seen, axes, at = self._seen, self._axes, np.array([now - self._start])
         along = wander.covariance(at, seen.t - self._start)[0]
-        own = float(wander.covariance(at, at)[0, 0]) + len(steps) * self._priors.step**2
+        own = float(wander.covariance(at, at)[0, 0]) + sum(step.sd**2 for step in steps)
         for step in steps:
-            along = along + self._priors.step**2 * (seen.t >= step)
+            along = along + step.sd**2 * (seen.t >= step.t)
         cross = self._prior[:, None] * self._design.T
         cross[:axes] += along if seen.towards is None else along * seen.towards.T
         prior = np.diag(self._prior)
@@ -310,37 +360,114 @@ MOST_BREAKS = 8
 BREAK = 5.0
 """Standard uncertainties by which a rest must miss its prediction to be one of them."""
 
+HIDDEN = 3.0
+"""A step is expected to be up to so many times what one rest shows of it. An accelerometer's rest shows the
+part along gravity, which is a third or less for a third of all directions."""
+
 _LIKELIER = 0.1
 """nats: below this, two explanations of a rest are alike."""
+
+_LINEAR = 5 * MG
+"""A bias that is so far from where a rest was made linear bends its norm by 0.013 mg: it wanders more."""
+
+_MOST_REPEATS = 4
+"""Repeats of making rests linear: each squares what is left of a step, in units of gravity."""
+
+
+_BEGINNINGS = 4
+"""Rests that miss their prediction at which a step is tried: its first one may show little of it."""
 
 
 def learn(seen: Observations, model: Model, now: float, start: Wander | None = None) -> Fit:
     """Fit a bias by temperature and time, allowing for steps and for rests that are no rests.
 
-    A rest that misses its prediction by more than BREAK standard uncertainties is either doubted or begins a
-    step, whichever is likelier; of two alike it begins a step, so that a knock widens the uncertainty at
-    once. now: s, the time that the bias is wanted for. start: where the search for the wander begins. Raises
-    ValueError where there is no rest.
+    A rest that misses its prediction by more than BREAK standard uncertainties is doubted, or shows a step,
+    or the bias wanders by so much: whichever is likelier. A doubt and a step at the newest rest are alike; it
+    is then a step, so that a knock widens the uncertainty at once. Either is as large as the rest shows
+    (HIDDEN). Rests are made linear about the bias of their own time. now: s, the time that the bias is wanted
+    for. start: where the search for the wander begins. Raises ValueError where there is no rest.
     """
     if not len(seen.t):
         raise ValueError("no rests to learn from")
-    steps: tuple[float, ...] = ()
-    doubted: tuple[int, ...] = ()
-    first = fit = Regression(seen, model).fit(now, start=start)
+    found = _Found(seen, Regression(seen, model).fit(now, start=start))
     for _ in range(MOST_BREAKS):
-        missed = np.abs(fit.errors).max(axis=1) / fit.errors_sd
-        missed[0] = 0.0
-        row = int(missed.argmax())
-        if missed[row] <= BREAK:
+        broken = _broken(found, now)
+        if broken is None:
             break
-        doubting = seen.doubting(row, model.priors.step)
-        in_doubt = Regression(doubting, model).fit(now, steps, fit.wander, search=False)
-        at_step = (*steps, float(seen.t[row]))
-        stepped = Regression(seen, model).fit(now, at_step, fit.wander, search=False)
-        if in_doubt.log_likelihood > stepped.log_likelihood + _LIKELIER:
-            seen, doubted, fit = doubting, (*doubted, row), in_doubt
-        else:
-            steps, fit = at_step, stepped
-    if fit is not first:
-        fit = Regression(seen, model).fit(now, steps, fit.wander)
-    return replace(fit, doubted=doubted)
+        found = broken
+    _, fit = _linear(found.seen, found.fit, now)
+    return replace(fit, doubted=found.doubted)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """A fit, the observations that it is of, with doubts and made linear, and the rows that are doubted."""
+
+    seen: Observations
+    fit: Fit
+    doubted: tuple[int, ...] = ()
+
+
+def _broken(found: _Found, now: float) -> _Found | None:
+    """Return the likeliest fit with one step or doubted rest more, None where no rest asks for one.
+
+    Where each rest shows one direction only, a bias that steps looks like one that wanders far. So rests are
+    looked at with no more wander than usual there, and what is found must be likelier than more wander, by
+    the number of rests at which it might have been; or a rest misses its prediction as much with more wander.
+    """
+    seen, fit, model = found.seen, found.fit, found.fit.model
+    partly = seen.towards is not None
+    usual = _usual(model.priors, fit.wander) if partly else fit.wander
+    quiet = Regression(seen, model).fit(now, fit.steps, usual, search=False) if partly else fit
+    missed = _missed(quiet, found.doubted)
+    row = int(missed.argmax())
+    if missed[row] <= BREAK:
+        return None
+    shown = float(np.abs(quiet.errors[row]).max())
+    size = max(model.priors.step, HIDDEN * shown if partly else shown)
+    off = np.flatnonzero(missed[: row + 1] > BREAK)
+    rows = {*off[:1].tolist(), *off[-_BEGINNINGS:].tolist()} if partly else {row}
+    taken = {step.t for step in fit.steps}
+    ways = [
+        _Found(*_linear(seen, Regression(seen, model).fit(now, (*fit.steps, step), usual, False), now))
+        for step in (Step(float(seen.t[k]), size) for k in sorted(rows))
+        if step.t not in taken
+    ]
+    doubting = seen.doubting(row, size)
+    again = Regression(doubting, model).fit(now, fit.steps, usual, search=False)
+    doubt = _Found(*_linear(doubting, again, now), (*found.doubted, row))
+    best = max(ways, key=lambda way: way.fit.log_likelihood, default=doubt)
+    newest = row == len(missed) - 1
+    if not newest and doubt.fit.log_likelihood > best.fit.log_likelihood + _LIKELIER:
+        best = doubt
+    searched = Regression(best.seen, model).fit(now, best.fit.steps, usual)
+    broken = _Found(*_linear(best.seen, searched, now), best.doubted or found.doubted)
+    likelier = broken.fit.log_likelihood > fit.log_likelihood + np.log(len(seen.t))
+    return broken if likelier or _missed(fit, found.doubted)[row] > BREAK else None
+
+
+def _missed(fit: Fit, doubted: tuple[int, ...]) -> Array:
+    """Return by how many standard uncertainties each rest misses its prediction, (n,); 0 for the first."""
+    missed = np.abs(fit.errors).max(axis=1) / fit.errors_sd
+    missed[[0, *doubted]] = 0.0
+    return np.asarray(missed)
+
+
+def _usual(priors: Priors, wander: Wander) -> Wander:
+    """Return a wander without what it has more of than sensors of its kind usually have."""
+    return Wander(
+        min(wander.white, priors.white),
+        min(wander.flicker, priors.flicker),
+        min(wander.walk, priors.walk / np.sqrt(86400.0)),
+        wander.declared,
+    )
+
+
+def _linear(seen: Observations, fit: Fit, now: float) -> tuple[Observations, Fit]:
+    """Return the observations made linear about the bias that a fit found for each rest, and their fit."""
+    for _ in range(_MOST_REPEATS):
+        if seen.linear is None or np.abs(fit.course - seen.near).max() <= _LINEAR:
+            break
+        seen = seen.about(fit.course)
+        fit = Regression(seen, fit.model).fit(now, fit.steps, fit.wander, search=False)
+    return seen, fit

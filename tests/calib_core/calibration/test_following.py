@@ -12,7 +12,13 @@ from msgspec import structs
 from stillcal.calib_core.accelerometer.parameters import names
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.acceptance import CLEARLY, clearly_smaller, stated_uncertainty
-from stillcal.calib_core.calibration.bias_curve import DROPPED, TAKEN_UP, held_term, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve import (
+    DROPPED,
+    TAKEN_UP,
+    held_term,
+    learn_accelerometer,
+    learn_gyroscope,
+)
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
@@ -305,6 +311,38 @@ def test_a_knock_is_followed_within_hours() -> None:
     hour, record = replaced[0]
     assert hour < 30.5 + SETTINGS.held_out_rests and "the bias stepped" in record.acceptance.reason
     assert max(off_by(record, 19.0, KNOCK), off_by(record, 31.0, KNOCK)) < 0.5
+
+
+@pytest.mark.parametrize("size_mg", [1, 10, 100, 500])
+@pytest.mark.parametrize("about", ["the old bias", "the new bias"])
+def test_a_knock_of_any_size_is_learnt_with_an_interval_that_holds(size_mg: float, about: str) -> None:
+    """Rests are linear about the bias of their own time: a step of 100 mg bends norms by 5 mg."""
+    knock = size_mg * MG * np.array([0.6, -0.5, 0.62])
+    rests = lived(16.0, slopes=0.0, knock=(12.4 * HOUR, knock), seed=3)
+    model = SensorModel.of(TRUE.scale, TRUE.bias + (knock if about == "the new bias" else 0.0))
+    t = rests[-1].t_end
+    learnt = learn_accelerometer(remembered(rests), model, accelerometer_record(model), t, SETTINGS)
+    assert learnt is not None
+    error = np.abs(learnt.bias - TRUE.bias - knock)
+    stated = learnt.forecast.bias_uncertainty(t, celsius_at(t))
+    assert error.max() < 0.3 * MG and (error < 3 * stated).all() and stated.max() < 0.3 * MG
+
+
+@pytest.mark.parametrize("size_mg", [20, 400])
+def test_one_rest_that_shows_a_step_leaves_as_much_unknown_across(size_mg: float) -> None:
+    knock = size_mg * MG * np.array([0.6, -0.5, 0.62])
+    rests = lived(16.0, slopes=0.0, knock=(np.nextafter(15.6 * HOUR, 0.0), knock), seed=3)
+    t = rests[-1].t_end
+    learnt = learn_accelerometer(remembered(rests), TRUE, accelerometer_record(), t, SETTINGS)
+    assert learnt is not None and len(learnt.steps) == 1
+    assert (np.abs(learnt.bias - TRUE.bias - knock) < 2 * learnt.forecast.bias_uncertainty(t, 25.0)).all()
+
+
+def test_a_large_knock_is_followed_within_hours() -> None:
+    knock = 100 * MG * np.array([0.6, -0.5, 0.62])
+    hour, record = followed_hourly(lived(35.0, knock=(30.5 * HOUR, knock)), range(30, 35))[0]
+    assert hour <= 33
+    assert max(off_by(record, 19.0, knock), off_by(record, 31.0, knock)) < 1.0
 
 
 def test_one_bad_rest_is_no_knock() -> None:
