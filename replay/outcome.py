@@ -13,7 +13,7 @@ from stillcal.calib_core.calibration.record import AccelerometerRecord, Calibrat
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.rms import rms
-from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.files import STANDARD_INPUT, StoreError, read_standard_input
 from stillcal.daemon.store.store import Store, StoreSettings
 from stillcal.replay.runner import Outcome
 
@@ -47,11 +47,16 @@ def full(actions: Iterable[Publish | Reject]) -> list[Publish | Reject]:
 
 
 def current_in_store(path: Path | str) -> CalibrationRecord:
-    """Return a store's current calibration. Raises StoreError where there is none."""
-    document = Store(path).load()
+    """Return the current calibration of a store ('-': on standard input).
+
+    Raises StoreError where there is none.
+    """
+    piped = str(path) == STANDARD_INPUT
+    document = read_standard_input() if piped else Store(path).load()
     record = None if document is None else document.current
     if record is None:
-        raise StoreError(f"{path}: has no calibration; run stillcal replay or the daemon first")
+        where = "standard input" if piped else path
+        raise StoreError(f"{where}: has no calibration; run stillcal replay or the daemon first")
     return record
 
 

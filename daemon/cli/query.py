@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import socket
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,9 @@ TIMEOUT_S = 10.0
 
 STREAMS = ("Monitor", "Record", "Stream")
 """Methods that answer until they are interrupted."""
+
+SIGNS = {"?": "? may be left out", "[]": "[] is a list", "[][]": "[][] a list of lists"}
+"""What the signs of Varlink's types mean."""
 
 TEXTS = ("to", "sensor")
 """Parameters that are texts, also where they look like a number, as a calibration's id may."""
@@ -73,9 +76,10 @@ def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: 
     """
     where = answering_path(path)
     try:
-        for reply in replies(where, _question(method, parameters)):
+        question = _question(method, parameters)
+        for reply in replies(where, question):
             if "error" in reply:
-                _exit_with_error(str(reply["error"]), reply.get("parameters") or {}, where, method)
+                _exit_with_error(str(reply["error"]), reply.get("parameters") or {}, where, question)
             _print(reply.get("parameters") or {}, as_json)
     except NoDaemonError as error:
         click.echo(f"stillcal: {error}", err=True)
@@ -167,15 +171,30 @@ def _shape(where: Path, method: str) -> str:
     return ""
 
 
-def _exit_with_error(error: str, parameters: dict[str, Any], where: Path, method: str) -> None:
+def _misfit(name: str, given: dict[str, Any], shape: str) -> str:
+    """Say what is wrong with a parameter, and what the method of this shape expects."""
+    known = f"({name}: " in shape or f", {name}: " in shape
+    if not known:
+        what = f"no parameter is called {name}"
+    elif name in given:
+        what = f"{name} has a wrong type or value"
+    else:
+        what = f"{name} is missing"
+    signs = [words for sign, words in SIGNS.items() if sign in shape]
+    return f"{what}; expected: {shape}" + (f" ({'; '.join(signs)})" if signs else "")
+
+
+def _exit_with_error(
+    error: str, parameters: dict[str, Any], where: Path, question: Mapping[str, Any]
+) -> None:
     """Print in one line why the daemon refused, and exit with the code for it."""
     name = error.rpartition(".")[2]
     if name == "MethodNotFound":
         method = parameters.get("method", "")
         raise click.UsageError(printable(f"no method {method}: `stillcal query --help` lists the methods"))
-    if name == "InvalidParameter" and (shape := _shape(where, method)):
-        what = f"{parameters.get('parameter', 'a parameter')} does not fit: {shape}"
-        raise click.UsageError(printable(f"{what}; what has a ? may be left out"))
+    if name == "InvalidParameter" and (shape := _shape(where, question["method"])):
+        wrong = str(parameters.get("parameter", "a parameter"))
+        raise click.UsageError(printable(_misfit(wrong, question["parameters"], shape)))
     missing = ", ".join(parameters.get("missing") or [])
     facts = [str(parameters.get("reason") or ""), f"needed: {missing}" if missing else ""]
     other = [f"{key} {value}" for key, value in parameters.items() if key not in ("reason", "missing")]

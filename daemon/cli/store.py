@@ -23,7 +23,7 @@ from stillcal.calib_core.calibration.terms import BY_CHARGING, lag_of, with_term
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
-from stillcal.daemon.store.files import MAX_BYTES, Reading, existing
+from stillcal.daemon.store.files import MAX_BYTES, STANDARD_INPUT, Reading, existing, read_standard_input
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
 from stillcal.daemon.system.printable import printable
@@ -44,8 +44,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON i
 def store_group() -> None:
     """Show a calibration store, check it, or go back to an earlier calibration.
 
-    PATH is the store's JSON file, such as /var/lib/stillcal/store.json. Showing and checking are safe while
-    the daemon runs. Changing needs it stopped; `stillcal query Rollback` rolls back while it runs.
+    PATH is the store's JSON file, such as /var/lib/stillcal/store.json; show, history and export also take
+    '-', standard input. Showing and checking are safe while the daemon runs. Changing needs it stopped;
+    `stillcal query Rollback` rolls back while it runs.
     """
 
 
@@ -234,6 +235,8 @@ def _one_line() -> Iterator[None]:
 def _loaded(path: Path) -> StoreDocument:
     """Read a store, warning on standard error where only its last good copy could be used."""
     with _one_line():
+        if str(path) == STANDARD_INPUT:
+            return read_standard_input()
         store = Store(existing(path))
         problem = store.verify().store.problem
         document = store.load()

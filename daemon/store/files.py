@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +20,8 @@ from stillcal.daemon.system.files import NotRegularError, TooLargeError, passing
 
 MAX_BYTES = 64 * 2**20
 """Larger than any store; a file of this size is not a store and is not read into memory."""
+
+STANDARD_INPUT = "-"
 
 MARKS = (b'"schema"', b'"stillcal calibration"', b'"accel"', b'"gyro"')
 BEGINNING_BYTES = 200
@@ -78,10 +81,22 @@ class Reading:
 
 
 def existing(path: Path) -> Path:
-    """Return the path of a store to be read. Raises StoreError where nothing is there."""
+    """Return the path of a store to be read or changed. Raises StoreError where nothing is there."""
+    if str(path) == STANDARD_INPUT:
+        raise StoreError("a store on standard input can be shown and exported only: give the store's path")
     if not path.exists():
         raise StoreError(f"{path}: no such store: give the path of an existing one")
     return path
+
+
+def read_standard_input() -> StoreDocument:
+    """Return the store that standard input holds. Raises StoreError where it holds none."""
+    data = sys.stdin.buffer.read(MAX_BYTES + 1)
+    try:
+        return parse(data)[0]
+    except StoreFormatError as error:
+        why = f"standard input cannot be used as a store ({error})"
+        raise StoreError(f"{why}: give a store that stillcal wrote") from error
 
 
 def read(path: Path) -> Reading:

@@ -17,6 +17,7 @@ from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
@@ -40,7 +41,7 @@ from stillcal.replay.commands.outputs import (
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.sources import STANDARD_INPUT_NAME
+from stillcal.replay.formats.sources import STANDARD_INPUT, STANDARD_INPUT_NAME
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
@@ -134,7 +135,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     epilog=examples("stillcal apply walk.csv --store store.json --out walk-true.csv"),
 )
 @click.argument("trace", type=_existing)
-@click.option("--store", "store_path", type=_existing, required=True, help="The store with the calibration.")
+@click.option("--store", "store_path", type=_existing, required=True, help="The store ('-': standard input).")
 @click.option(
     "--out",
     type=_existing,
@@ -156,6 +157,8 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
     With --smooth each value is the mean of the newest samples: 3 up to 20 Hz, 5 up to 80 Hz, 10 up to 120 Hz
     and 20 above. Time stamps stay, so values come late by half of that; the command says by how much.
     """
+    if str(trace) == str(store_path) == STANDARD_INPUT:
+        raise UserError("standard input cannot be both the recording and the store: give a path for one")
     record = current_in_store(store_path)
     refuse_collisions(
         new_recording_files(out), [*_input_files(trace, reading.gyro), *store_files(store_path)]

@@ -40,7 +40,7 @@ _path = click.Path(path_type=Path)
 @click.option("--out", type=_path, required=True, help="The file to write ('-': standard output).")
 @click.option("--phone", help="Where noise comes from: a phone file that diagnose --phone-out wrote.")
 def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
-    """Write the current calibration of the store PATH as another tool's own file.
+    """Write the current calibration of the store PATH ('-': standard input) as another tool's own file.
 
     What the tool cannot hold is named on standard error and in the file's comments, with its numbers.
     docs/export.md says what each tool holds and in which units, signs and axes.
@@ -49,7 +49,8 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     refuse_collisions([out], reads)
     target = target_named(tool)
     known = None if phone is None else _phone(phone)
-    made = exported(target, of_record(current_in_store(existing(path)), known), path.name)
+    store = path if str(path) == STANDARD_INPUT else existing(path)
+    made = exported(target, of_record(current_in_store(store), known), _named(path))
     write_output(out, made.data)
     if made.left_out:
         names = ", ".join(made.left_out)

@@ -38,10 +38,17 @@ def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, ma
             for wrong in ("limit", "[1]", "=3"):
                 said = await query("GetHistory", wrong)
                 assert (said.returncode, len(said.stderr.splitlines())) == (2, 1), said.stderr
-            for wrong in ("limit=many", "limt=1", "limit=-1"):
+            for wrong, why in (
+                ("limit=many", "limit has a wrong type or value"),
+                ("limit=-1", "limit has a wrong type or value"),
+                ("limt=1", "no parameter is called limt"),
+            ):
                 said = await query("GetHistory", wrong)
-                expected = f"{wrong.split('=')[0]} does not fit: GetHistory(limit: ?int)"
+                expected = f"{why}; expected: GetHistory(limit: ?int) (? may be left out)\n"
                 assert (said.returncode, expected in said.stderr) == (2, True), said.stderr
+            said = await query("Correct", "sensor=gyroscope")
+            assert "samples is missing; expected: Correct(sensor: (accelerometer, gyr" in said.stderr
+            assert "[][] a list of lists" in said.stderr
 
     within_reason(test())
 

@@ -44,6 +44,38 @@ def test_a_recording_goes_through_pipes_as_through_files(folder: Path) -> None:
     assert (piped.returncode, piped.stdout) == (0, (folder / "true.csv").read_bytes())
 
 
+def test_a_store_is_read_from_a_pipe(folder: Path) -> None:
+    store = folder / "store.json"
+    whole = store.read_bytes()
+    for words in (("show",), ("history", "--json"), ("export", "--to", "px4", "--out", "-")):
+        command, *options = words
+        piped = ran("store", command, "-", *options, given=whole)
+        named = ran("store", command, store, *options)
+        assert piped.returncode == 0, piped.stderr
+        assert piped.stdout.replace(b"standard input", b"store.json") == named.stdout
+    corrected = ("apply", folder / "short.csv", "--out", "-", "--store")
+    assert ran(*corrected, "-", given=whole).stdout == ran(*corrected, store).stdout != b""
+
+
+@pytest.mark.parametrize(
+    ("words", "given", "said"),
+    [
+        (("store", "show", "-"), b"{}", b"standard input cannot be used as a store ("),
+        (("store", "export", "-", "--to", "px4", "--out", "-"), b"", b"standard input cannot be used"),
+        (("store", "rollback", "-"), b"", b"can be shown and exported only"),
+        (("apply", "-", "--store", "-", "--out", "-"), b"", b"cannot be both the recording and the store"),
+    ],
+)
+def test_what_cannot_be_a_store_on_standard_input_is_refused(
+    tmp_path: Path, words: tuple[str, ...], given: bytes, said: bytes
+) -> None:
+    command = [STILLCAL, *words]
+    refused = subprocess.run(command, input=given, capture_output=True, check=False, cwd=tmp_path)
+    assert (refused.returncode, refused.stdout, refused.stderr.count(b"\n")) == (2, b"", 1), refused.stderr
+    assert said in refused.stderr
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_calibration_goes_to_a_tool_and_back_through_a_pipe(folder: Path) -> None:
     store, back = folder / "store.json", folder / "back.json"
     exported = ran("store", "export", store, "--to", "npz", "--out", "-")
