@@ -116,7 +116,7 @@ def daemon(watch: str, simulation: Simulation, speed: float) -> Iterator[Daemon]
         plugged.wait(30)
         command = [Path(sys.executable).with_name("stillcal"), "run", "--config", folder / "config.toml"]
         began = time.monotonic()
-        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=_installed()) as process:
             found = Daemon(process, folder, began, [])
             reader = threading.Thread(target=_read, args=(process, found.said), daemon=True)
             reader.start()
@@ -125,6 +125,11 @@ def daemon(watch: str, simulation: Simulation, speed: float) -> Iterator[Daemon]
             finally:
                 process.terminate()
                 process.wait(20)
+
+
+def _installed() -> dict[str, str]:
+    """Return this environment as an installed daemon has it: code is compiled once, not at every start."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
 def _serve(simulation: Simulation, settings: LinkSettings, path: Path, plugged: threading.Event) -> None:
