@@ -309,7 +309,9 @@ def qualified(names: Sequence[str], container: str) -> list[str]:
 
 
 def rates_alone(names: Sequence[str]) -> bool:
-    """Whether columns hold a gyroscope and no accelerometer."""
+    """Whether columns hold a gyroscope and not even one axis of an accelerometer."""
+    if any((axis := _axis_of(name)) and axis.sensor is Sensor.ACCELEROMETER for name in names):
+        return False
     return {axes.sensor for axes in find_axes(names)} == {Sensor.GYROSCOPE}
 
 
