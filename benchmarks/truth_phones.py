@@ -25,6 +25,9 @@ RATE_HZ = 25.0
 FLICKER_TAUS_S = tuple(16.0 * 4.0**k for k in range(7))
 """Correlation times of the flicker: two a decade, 16 s to 18 h, each of the same variance."""
 
+PER_PROCESS = np.sqrt(np.log(4.0) / np.pi)
+"""Standard deviation of each process, of the bias instability (IEEE Std 952-1997, Annex C)."""
+
 TEMPCO = {Sensor.ACCELEROMETER: (0.2 * MG, 0.9 * MG), Sensor.GYROSCOPE: np.radians((0.005, 0.03))}
 """Length of the bias' slope with temperature: m/s^2/K, rad/s/K."""
 
@@ -52,14 +55,24 @@ class TrueBias(OnEither, frozen=True, kw_only=True, tag="true_bias"):
 
 
 @dataclass(frozen=True, slots=True)
+class Sizes:
+    """How large what moves a bias is. slope: (3,) per K, at 25 degC. flicker, walk: as FLICKER and WALK."""
+
+    slope: Array
+    flicker: float
+    walk: float
+
+
+@dataclass(frozen=True, slots=True)
 class Life:
     """One person's days with one phone. bias: sensor -> (n, 3) every GRID_S, all of the true bias.
 
-    kinds: what is special about the phone, in words.
+    sizes: what the bias was drawn with. kinds: what is special about the phone, in words.
     """
 
     simulation: Simulation
     bias: dict[Sensor, Array]
+    sizes: dict[Sensor, Sizes]
     kinds: tuple[str, ...]
 
     def bias_at(self, sensor: Sensor, t: float) -> Array:
@@ -101,10 +114,12 @@ def live(number: int, seed: int, days: float) -> Life:
     kinds += [word for word, is_so in (("curved", curved), ("lag", lagging), ("knock", knocked)) if is_so]
     felt = _lagged(celsius, rng.uniform(60, 600)) if lagging else celsius
     knock_row = int(rng.uniform(0.2, 0.9) * n) if knocked else n
-    bias = {}
+    bias, sizes = {}, {}
     for sensor, offset in ((Sensor.ACCELEROMETER, 0.03 * 9.8), (Sensor.GYROSCOPE, np.radians(1.0))):
-        table = offset * rng.standard_normal(3) + _thermal(felt - 25.0, TEMPCO[sensor], curved, rng)
-        table = table + _slow(n, FLICKER[sensor], WALK[sensor], rng)
+        constant = offset * rng.standard_normal(3)
+        thermal, slope = _thermal(felt - 25.0, TEMPCO[sensor], curved, rng)
+        slow, flicker, walk = _slow(n, FLICKER[sensor], WALK[sensor], rng)
+        table, sizes[sensor] = constant + thermal + slow, Sizes(slope, flicker, walk)
         table[knock_row:] += KNOCK[sensor] * rng.standard_normal(3)
         bias[sensor] = table
     phone = Phone(
@@ -115,7 +130,7 @@ def live(number: int, seed: int, days: float) -> Life:
         heat=heat,
         effects=(TrueBias(table=bias),),
     )
-    return Life(simulate(scenario, phone, number), bias, tuple(kinds))
+    return Life(simulate(scenario, phone, number), bias, sizes, tuple(kinds))
 
 
 def _scenario(rng: np.random.Generator, days: float) -> Scenario:
@@ -140,27 +155,34 @@ def _sensor(rng: np.random.Generator, white: float, lsb: float, reach: float) ->
     )
 
 
-def _thermal(warmth: Array, tempco: Any, curved: bool, rng: np.random.Generator) -> Array:
-    """Return a bias (n, 3) by warmth (n,), K: straight, or bent by about half of its rise in 20 K."""
+def _thermal(warmth: Array, tempco: Any, curved: bool, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Return a bias (n, 3) by warmth (n,), K, and its slope, (3,) per K.
+
+    It is straight, or bent by about half of its rise in 20 K.
+    """
     direction = rng.standard_normal(3)
     slope = rng.uniform(*tempco) * direction / np.linalg.norm(direction)
     u = warmth / 20.0
     bend = np.outer(u**2, 0.5 * rng.standard_normal(3)) + np.outer(u**3, 0.2 * rng.standard_normal(3))
-    return np.outer(warmth, slope) + (20.0 * np.linalg.norm(slope) * bend if curved else 0.0)
+    return np.outer(warmth, slope) + (20.0 * np.linalg.norm(slope) * bend if curved else 0.0), slope
 
 
-def _slow(n: int, flicker: Any, walk: Any, rng: np.random.Generator) -> Array:
-    """Return flicker (IEEE Std 952-1997, Annex C: B^2 ln r / pi a process) and a random walk, (n, 3)."""
+def _slow(n: int, flicker: Any, walk: Any, rng: np.random.Generator) -> tuple[Array, float, float]:
+    """Return flicker (IEEE Std 952-1997, Annex C: B^2 ln r / pi a process) and a random walk, (n, 3).
+
+    With it what their sizes are.
+    """
     from scipy.signal import lfilter  # noqa: PLC0415 - the engine's processes do without
 
-    sigma = rng.uniform(*flicker) * np.sqrt(np.log(4.0) / np.pi)
-    total = np.cumsum(rng.uniform(*walk) * np.sqrt(GRID_S / 86400.0) * rng.standard_normal((n, 3)), axis=0)
+    instability, of_a_day = rng.uniform(*flicker), rng.uniform(*walk)
+    sigma = instability * PER_PROCESS
+    total = np.cumsum(of_a_day * np.sqrt(GRID_S / 86400.0) * rng.standard_normal((n, 3)), axis=0)
     for tau in FLICKER_TAUS_S:
         keep = np.exp(-GRID_S / tau)
         shocks = rng.standard_normal((n, 3)) * sigma * np.sqrt(1 - keep**2)
         shocks[0] = sigma * rng.standard_normal(3)
         total += lfilter([1.0], [1.0, -keep], shocks, axis=0)
-    return total
+    return total, instability, of_a_day
 
 
 def _lagged(values: Array, tau: float) -> Array:
