@@ -56,6 +56,7 @@ from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples
 
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
@@ -92,26 +93,19 @@ def pair_scenes(
     known = None if added is None else cut_all(added.force, added.rate, events, span)
     bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
     up = moved.force / STANDARD
-    shaken = mismatch**2 * shaking(true.force, left)[:, None]
-    views = _views(
-        left,
-        left.force,
-        left.force_variance + shaken,
-        (moved.force, None if known is None else known.force),
-        judged,
-    )
-    scenes = [Scene("accel", bins, views, STANDARD, up)]
+
+    def scene(
+        sensor: str, mean: Array, variance: Array, read: Samples, inputs: tuple[Array, Array | None]
+    ) -> Scene:
+        shaken = mismatch**2 * shaking(read, left)[:, None]
+        return Scene(sensor, bins, _views(left, mean, variance + shaken, inputs, judged), STANDARD, up)
+
+    inputs = (moved.force, None if known is None else known.force)
+    scenes = [scene("accel", left.force, left.force_variance, true.force, inputs)]
     if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
         assert true.rate is not None, "it was cut"
-        shaken = mismatch**2 * shaking(true.rate, left)[:, None]
-        views = _views(
-            left,
-            left.rate,
-            left.rate_variance + shaken,
-            (moved.rate, None if known is None else known.rate),
-            judged,
-        )
-        scenes.append(Scene("gyro", bins, views, STANDARD, up))
+        inputs = (moved.rate, None if known is None else known.rate)
+        scenes.append(scene("gyro", left.rate, left.rate_variance, true.rate, inputs))
     return bins, scenes
 
 
