@@ -343,16 +343,18 @@ class CalibrationRecord:
         celsius: float | None,
         lagged: Array | None = None,
         charged: Array | None = None,
+        *,
+        stray_k: float = 0.0,
     ) -> Array | None:
         """Return the standard uncertainty (3,) of a bias at t (s) and a temperature, degC; None if unknown.
 
         celsius: None where unknown. lagged: (k,) degC, of sensors that follow the thermometer late. charged:
-        (1 + k,) K, what the charger stands in for. Where no forecast was learnt, it is that of the time of
-        the fit.
+        (1 + k,) K, what the charger stands in for. stray_k: K, standard uncertainty of the temperature. Where
+        no forecast was learnt, it is that of the time of the fit.
         """
         forecast = self.forecast.get(str(sensor))
         if forecast is not None and t is not None:
-            return forecast.bias_uncertainty(t, celsius, lagged, charged)
+            return forecast.bias_uncertainty(t, celsius, lagged, charged, stray_k=stray_k)
         part = self.accelerometer if sensor == Sensor.ACCELEROMETER else self.gyroscope
         return None if part is None else part.bias_uncertainty
 

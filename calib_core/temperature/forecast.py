@@ -57,21 +57,25 @@ class Forecast:
         celsius: float | None,
         lagged: Array | None = None,
         charged: Array | None = None,
+        *,
+        stray_k: float = 0.0,
     ) -> Array:
         """Return the standard uncertainty (3,) of the bias at t (s) and a temperature, degC.
 
         lagged: (k,) degC, of sensors that follow the thermometer late. charged: (1 + k,) K, the readings that
-        the charger stands in for. Without a temperature, it is taken to be anywhere in the span of the rests.
+        the charger stands in for. stray_k: K, standard uncertainty of the temperature, for its age. Without a
+        temperature, it is taken to be anywhere in the span of the rests.
         """
         grown, lags_s = self.wander.growth(t - self.at), LAGS_S
         if self.by_charger:
             lags_s = CHARGER_LAGS_S
             celsius, lagged = (None, None) if charged is None else (float(charged[0]), charged[1:])
         if celsius is not None and np.isfinite(celsius):
+            known_to = float(np.hypot(self.thermometer_sd, 0.0 if self.by_charger else stray_k))
             own = felt(np.array([np.nan]), lagged, self.lag_s, lags_s)[0] if self.lag_s else celsius
             if np.isfinite(own):
-                return np.sqrt(self._variance(float(own), self.error, self.thermometer_sd) + grown)
-            either = float(np.hypot(self.thermometer_sd, self.behind_sd))
+                return np.sqrt(self._variance(float(own), self.error, known_to) + grown)
+            either = float(np.hypot(known_to, self.behind_sd))
             return np.sqrt(self._variance(celsius, self.error, either) + grown)
         error = np.vstack((self.error[:1], self.curve))
         unknown = [self._variance(float(c), error, 0.0) for c in np.linspace(*self._span(), 7)]

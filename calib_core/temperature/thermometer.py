@@ -26,12 +26,32 @@ LATE_S = 1800.0
 """Readings are kept for so much longer, because a temperature may be asked for that long after its time: that
 of a rest is, when the rest has ended."""
 
+FRESH_S = 600.0
+"""A reading that is older tells nothing of the temperature now."""
+
+_STRAY_K_PER_S = 0.2 / 60.0
+"""K/s by which the temperature may differ from a reading of before. Of the simulated lives of
+benchmarks/truth.py the root mean square is 0.2 K after one minute, 0.8 to 1.1 K after five."""
+
 _UNKNOWN_K = 0.5
 """A lagged temperature that may be off by more is unknown."""
 
 _FIRST_K, _DRIFT_K, _DRIFT_S = 3.0, 1.0, 1800.0
 """How far a sensor may be from the first reading, and how far a temperature may stray between two readings
 that lie this long apart or longer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A reading of some time ago. celsius: degC. age_s: s."""
+
+    celsius: float
+    age_s: float
+
+    @property
+    def stray_k(self) -> float:
+        """The standard uncertainty, K, of the temperature now, for the reading's age."""
+        return _STRAY_K_PER_S * self.age_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +82,16 @@ class Thermometer:
             times, values = times[order], values[order]
         first = np.diff(np.floor(times / CELL_S), prepend=-np.inf) > 0
         return Thermometer(frozen(times[first]), frozen(values[first]))
+
+    def latest(self, t: float) -> Reading | None:
+        """Return the newest reading at t (s) that is kept, None where it is older than FRESH_S.
+
+        Of each cell the first reading is kept: a phone may have told a newer one within the last CELL_S.
+        """
+        heard = int(np.searchsorted(self.t, t, side="right"))
+        if not heard or t - self.t[heard - 1] > FRESH_S:
+            return None
+        return Reading(float(self.celsius[heard - 1]), t - float(self.t[heard - 1]))
 
     def lagged(self, t: float, celsius: float) -> Array:
         """Return the temperatures of sensors that follow with each of LAGS_S, (k,) degC, NaN where unknown.

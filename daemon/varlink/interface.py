@@ -97,7 +97,8 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
     def GetCalibration(self, *, temperature_c: float | None = None) -> api.Calibration:
         """Return the current calibration, its age and whether later checks confirmed it.
 
-        temperature_c: of the sensor now, for which bias_now and bias_uncertainty_now are returned.
+        temperature_c: of the sensor now, for which bias_now and bias_uncertainty_now are returned. Where it
+        is not told, it is the thermometer's latest reading.
         """
         record = self._daemon.view.record
         if record is None:

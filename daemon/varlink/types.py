@@ -20,9 +20,9 @@ class SensorCalibration:
     most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most. provisional: the
     bias was measured right after the start, and no later rest has confirmed it. slow_rotation_deg_per_h:
     of the gyroscope, per axis, how large a bias error slow rotation in the rests may have caused unseen;
-    absent where nothing bounds it. bias_now, bias_uncertainty_now (1 sd): at the temperature asked for, at
-    this moment, by what was learnt of temperature and of the wander of this phone's bias; where no
-    temperature is told the uncertainty is larger. learnt_min_c, learnt_max_c: the span of temperatures
+    absent where nothing bounds it. bias_now, bias_uncertainty_now (1 sd): at the calibration's temperature_c,
+    at this moment, by what was learnt of temperature and of the wander of this phone's bias; where no
+    temperature is known the uncertainty is larger. learnt_min_c, learnt_max_c: the span of temperatures
     learnt from; beyond it the uncertainty grows. follows_temperature: whether a term for temperature is in
     use. follows_charging: the same for the heat of charging, which stands in where there is no
     thermometer. lag_s: how late the sensor follows the thermometer, or the charger. wander_per_day:
@@ -59,7 +59,9 @@ class Calibration:
 
     checked_age_s: since it was last checked or fitted.
     confidence: unchecked (no check since it was fitted), confirmed (passed its last check), failing.
-    temperature_min_c, temperature_max_c: where it was measured; outside it is extrapolation.
+    temperature_min_c, temperature_max_c: where it was measured; outside it is extrapolation. temperature_c:
+    that bias_now is for, as asked for or else as the thermometer last read it, temperature_age_s ago; absent
+    where its last reading is older than ten minutes.
     """
 
     id: str
@@ -74,6 +76,8 @@ class Calibration:
     checked_age_s: float | None = None
     temperature_min_c: float | None = None
     temperature_max_c: float | None = None
+    temperature_c: float | None = None
+    temperature_age_s: float | None = None
     accelerometer: SensorCalibration | None = None
     gyroscope: SensorCalibration | None = None
 

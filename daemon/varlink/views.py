@@ -45,15 +45,19 @@ def identity(record: CalibrationRecord) -> str:
 def calibration(
     record: CalibrationRecord, daemon: Daemon, temperature_c: float | None = None
 ) -> api.Calibration:
-    """Return a calibration with its age, what is known of its soundness, and its biases now."""
+    """Return a calibration with its age, what is known of its soundness, and its biases now.
+
+    temperature_c: degC, of the sensor now; where None is told, the thermometer's latest reading.
+    """
+    warmth = _warmth(daemon, temperature_c)
     view, now, gravity, validity = daemon.view, daemon.now, record.gravity, record.validity
     current = daemon.document.current
     accelerometer = _sensor(record.accelerometer, None)
     gyroscope = _sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now))
-    accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, daemon, temperature_c)
+    accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, daemon, warmth)
     if view.degraded and view.trouble is not None:
         accelerometer = _widened(accelerometer, view.trouble.size)
-    gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, daemon, temperature_c)
+    gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, daemon, warmth)
     if gyroscope is not None and record.provisional:
         gyroscope = dataclasses.replace(gyroscope, provisional=True)
     return api.Calibration(
@@ -69,6 +73,8 @@ def calibration(
         checked_age_s=_age(view.checked, now),
         temperature_min_c=validity.temperature_min,
         temperature_max_c=validity.temperature_max,
+        temperature_c=warmth.celsius,
+        temperature_age_s=warmth.age_s,
         accelerometer=accelerometer,
         gyroscope=gyroscope,
     )
@@ -79,13 +85,13 @@ def _at_present(
     sensor: Sensor,
     part: api.SensorCalibration | None,
     daemon: Daemon,
-    temperature_c: float | None,
+    warmth: _Warmth,
 ) -> api.SensorCalibration | None:
     """Add a sensor's bias now at a temperature, and what was learnt of its temperature and wander."""
     if part is None:
         return None
-    now, at = daemon.now, None if temperature_c is None else np.array([temperature_c])
-    late = _lagged(daemon, temperature_c)
+    now, celsius = daemon.now, warmth.celsius
+    at, late = None if celsius is None else np.array([celsius]), _lagged(daemon, celsius)
     charged = None if now is None else daemon.view.charger.at(now)
     offset = bias_terms(record, sensor, at, None, late, charged=charged)
     bias = np.array(part.bias) + np.ravel(offset)
@@ -93,7 +99,9 @@ def _at_present(
     told = dataclasses.replace(
         part,
         bias_now=_finite(bias),
-        bias_uncertainty_now=_finite(record.bias_uncertainty_at(sensor, now, temperature_c, late, charged)),
+        bias_uncertainty_now=_finite(
+            record.bias_uncertainty_at(sensor, now, celsius, late, charged, stray_k=warmth.stray_k)
+        ),
         follows_temperature=any("slope" in t.parameters and t.sensor == sensor for t in record.terms),
         follows_charging=any(t.effect == BY_CHARGING and t.sensor == sensor for t in record.terms),
     )
@@ -106,6 +114,27 @@ def _at_present(
         lag_s=forecast.lag_s,
         wander_per_day=float(np.sqrt(forecast.wander.growth(DAY_S))),
     )
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class _Warmth:
+    """A temperature, degC, that an answer is for, None where unknown.
+
+    age_s: s, of the reading that it is, None where the caller told it. stray_k: K, its standard uncertainty
+    for that age.
+    """
+
+    celsius: float | None = None
+    age_s: float | None = None
+    stray_k: float = 0.0
+
+
+def _warmth(daemon: Daemon, told_c: float | None) -> _Warmth:
+    """Return the temperature that the caller told, degC, else that of the thermometer's latest reading."""
+    if told_c is not None or daemon.now is None:
+        return _Warmth(told_c)
+    reading = daemon.view.thermometer.latest(daemon.now)
+    return _Warmth() if reading is None else _Warmth(reading.celsius, reading.age_s, reading.stray_k)
 
 
 def _lagged(daemon: Daemon, temperature_c: float | None) -> Array | None:

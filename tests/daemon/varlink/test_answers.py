@@ -23,6 +23,8 @@ from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
 from stillcal.calib_core.temperature.charger import Charger
+from stillcal.calib_core.temperature.forecast import Forecast
+from stillcal.calib_core.temperature.thermometer import FRESH_S, Thermometer
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.phone_clock import PhoneClock
 from stillcal.daemon.service.saved_state import SavedState
@@ -290,5 +292,50 @@ def test_answers_follow_the_charger_where_there_is_no_thermometer(folder: Path, 
             assert found["bias_now"] == pytest.approx(bias)
             told = await asked(folder, lambda c: c.Correct("gyroscope", [bias.tolist()]))
             assert np.ravel(told["samples"]) == pytest.approx(np.zeros(3), abs=1e-12)
+
+    within_reason(test())
+
+
+@pytest.mark.parametrize("age_s", [90.0, FRESH_S + 1.0])
+def test_biases_are_for_the_latest_reading_of_the_thermometer_unless_a_temperature_is_told(
+    folder: Path, make_record: Any, age_s: float
+) -> None:
+    """One that is too old is none; one of before widens the uncertainty by its age."""
+    record, slope = make_record(3), np.array([0.001, -0.002, 0.003])
+    term = Term(
+        effect="gyro_bias_temperature",
+        sensor=Sensor.GYROSCOPE,
+        parameters={"slope": TermParameter(value=slope, unit="rad/s/K")},
+        reference={"temperature": 25.0},
+    )
+    curve = np.vstack((10.0 * slope, np.zeros((2, 3))))
+    forecast = Forecast(
+        at=5000.0, reference=25.0, curve=curve, error=np.zeros((4, 3)), covariance=np.zeros((12, 12)),
+        white=0.0, flicker=0.0, walk=0.0, temperature_min=20.0, temperature_max=40.0,
+    )  # fmt: skip
+    record = dataclasses.replace(record, terms=(term,), forecast={"gyroscope": forecast})
+    stored(folder, record)
+    heard = Thermometer(np.array([5000.0 - age_s]), np.array([35.0]))
+    saved = SavedState(EngineState(thermometer=heard, record=record), PhoneClock(newest=5000.0))
+    saved_state.save(saved_state.state_path(folder / "store.json"), saved_state.encode(saved))
+
+    async def test() -> None:
+        async with answering(folder):
+            told = (await asked(folder, lambda c: c.GetCalibration(30.0)))["calibration"]
+            assert (told["temperature_c"], told.get("temperature_age_s")) == (30.0, None)
+            assert told["gyroscope"]["bias_now"] == pytest.approx(record.gyroscope.bias + 5.0 * slope)
+            assert told["gyroscope"]["bias_uncertainty_now"] == pytest.approx(np.zeros(3))
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]
+            if age_s > FRESH_S:
+                assert found.get("temperature_c") is None and found.get("temperature_age_s") is None
+                assert found["gyroscope"]["bias_now"] == pytest.approx(record.gyroscope.bias)
+                return
+            assert (found["temperature_c"], found["temperature_age_s"]) == (35.0, age_s)
+            assert found["gyroscope"]["bias_now"] == pytest.approx(record.gyroscope.bias + 10.0 * slope)
+            uncertain = np.abs(slope) * 0.2 * 1.5
+            assert found["gyroscope"]["bias_uncertainty_now"] == pytest.approx(uncertain)
+            line = [STILLCAL, "query", "--socket", str(folder / "socket")]
+            shown = await asyncio.to_thread(subprocess.check_output, line, text=True)
+            assert "temperature_c            35" in shown and "temperature_age_s        90" in shown
 
     within_reason(test())
