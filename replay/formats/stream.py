@@ -106,7 +106,7 @@ class SampleFile:
     @property
     def notes(self) -> list[str]:
         """Irregularities tolerated and choices made so far, one line each."""
-        lines = []
+        lines = list(self._table.notes)
         if self._table.skipped_rows:
             chosen = " ".join(self.selected)
             lines.append(f"only the rows of {chosen} are read, {self._table.skipped_rows} others skipped")

@@ -85,7 +85,7 @@ def text_format(source: Source) -> TextFormat:
         return replace(form, column_map=placed)
     below, row = lines[before + after], lines[before + after + 1]
     names, units = (split_as(row, line) for line in (uncommented(lines[before]), below))
-    told = with_units(names, units) if len(units) == len(names) else None
+    told = with_units(names, units) if len(units) == len(names) and units != names else None
     return TextFormat(UNKNOWN, placed, names=told, rate_hz=form.rate_hz)
 
 

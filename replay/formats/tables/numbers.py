@@ -35,6 +35,7 @@ class NumberTable:
         self.size_bytes = size_bytes
         self.bytes_read = 0
         self.skipped_rows = 0
+        self.notes: list[str] = []
         self._rows = rows
 
     def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:

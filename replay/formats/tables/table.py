@@ -42,6 +42,11 @@ class Table(Protocol):
     bytes_read: int
     skipped_rows: int
 
+    @property
+    def notes(self) -> list[str]:
+        """What else the latest reading passed over, a line each."""
+        ...
+
     def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:
         """Yield the columns at `places` in the table's order, of the rows that have the key's texts."""
         ...

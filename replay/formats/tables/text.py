@@ -77,6 +77,7 @@ class TextTable:
         head = text_head(self._source)
         lines = head.split("\n")
         self._skip = column_map.skip_lines + column_map.header + column_map.lines_after_header
+        self._above = _LinesAbove([line.strip() for line in lines[: self._skip]])
         header = uncommented(lines[min(column_map.skip_lines, len(lines) - 1)])
         self.delimiter = _delimiter(header, column_map.delimiter)
         self.names = self._header(lines) if column_map.header else None
@@ -99,17 +100,19 @@ class TextTable:
         TraceError naming file and line for a row that is not numbers or not whole.
         """
         self.skipped_rows = 0
+        self._above.begin()
         self._clock = None if self._dates is None else Dates(self.first_row[self._dates].encode())
         plain = not key and self._dates not in places
         compiled = compiled_reader(self.size_bytes, self.width) if plain else None
         size = BLOCK_BYTES if compiled is None else _AT_ONCE * BLOCK_BYTES
         for data, first_line, count, unfinished in self._line_blocks(size):
             text = self._normal(data)
-            values = None if compiled is None else compiled(text, count, places)
+            again = self._above.are_in(data)
+            values = None if compiled is None or again else compiled(text, count, places)
             if values is not None:
                 yield Block(values, np.arange(first_line, first_line + len(values)))
                 continue
-            ends = cell_ends(text, self.width)
+            ends = None if again else cell_ends(text, self.width)
             lines = np.arange(first_line, first_line + (0 if ends is None else len(ends)))
             if ends is None:
                 text, lines = self._walked(data, first_line, unfinished)
@@ -119,6 +122,11 @@ class TextTable:
             rows = holding(text, ends, key)
             self.skipped_rows += int(np.count_nonzero(~rows))
             yield Block(self._numbers(text, ends, rows, lines, places), lines[rows])
+
+    @property
+    def notes(self) -> list[str]:
+        """What the latest reading passed over, a line each."""
+        return self._above.notes
 
     def read_dates(self, place: int) -> None:
         """Read the column at `place` as dates, s since 1970."""
@@ -184,13 +192,13 @@ class TextTable:
         return self.delimiter.encode()
 
     def _walked(self, text: bytes, first_line: int, unfinished: bool) -> tuple[bytes, NDArray[np.int64]]:
-        """Return `text` without blank lines and delimiters within quotes, and its rows' line numbers."""
+        """Return `text` without blank lines, repeated headers and quoted delimiters, and its rows' lines."""
         rows = text.decode("utf-8", "backslashreplace").split("\n")[:-1]
         rows_kept, lines = [], []
         for number, row in enumerate(rows, first_line):
-            cells = self._cells(row)
-            if not row.strip():
+            if not row.strip() or self._above.passed_over(row.strip(), number):
                 continue
+            cells = self._cells(row)
             if len(cells) != self.width:
                 cut = unfinished and number == first_line + len(rows) - 1
                 what = f"{len(cells)} cells instead of {self.width}"
@@ -263,6 +271,40 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+class _LinesAbove:
+    """The lines above the first row: where logs were joined they stand between rows again."""
+
+    def __init__(self, lines: Sequence[str]) -> None:
+        self._lines = frozenset(filter(None, lines))
+        ends = [line for line in lines if line]
+        self._marks = {line.encode() for line in (*ends[:1], *ends[-1:])}
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was met: the table is read from its start."""
+        self._met = 0
+        self._first_met = 0
+
+    def are_in(self, data: bytes) -> bool:
+        """Whether some of them may be among the lines of `data`."""
+        return any(mark in data for mark in self._marks)
+
+    def passed_over(self, line: str, number: int) -> bool:
+        """Whether a line is one of them; if so, it is counted."""
+        if line.removeprefix("\ufeff") not in self._lines:
+            return False
+        self._first_met = self._first_met or number
+        self._met += 1
+        return True
+
+    @property
+    def notes(self) -> list[str]:
+        """What is to be said of it, in one line, or nothing."""
+        lines = "1 line repeats" if self._met == 1 else f"{self._met} lines repeat"
+        said = f"{lines} the header and what stands above it (first line {self._first_met}): passed over"
+        return [said] if self._met else []
 
 
 def has_rows(source: Source) -> bool:

@@ -152,3 +152,29 @@ def test_times_of_day_run_on_from_day_to_day() -> None:
 )
 def test_what_is_no_time_is_none(cell: str) -> None:
     assert not is_date(cell.encode())
+
+
+@pytest.mark.parametrize("above", ["", "# logger 3\n# 100 Hz\n"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_headers_of_joined_logs_are_passed_over_and_said_once(tmp_path: Path, above: str, mark: str) -> None:
+    header, *lines = TABLE.splitlines()
+    top = mark + above + header
+    joined = [top, *lines[:300], top, *lines[300:302], top, *lines[302:]]
+    recording = read(tmp_path, "\n".join(joined))
+    np.testing.assert_array_equal(recording.accelerometer.xyz, DATA[:, 1:4])
+    first, count = len(f"{above}{header}".splitlines()) + 301, 2 * len(f"{above}{header}".splitlines())
+    (said,) = [note for note in recording.notes if "passed over" in note]
+    assert f"{count} lines repeat the header" in said and f"first line {first})" in said
+
+
+def test_the_line_of_a_faulty_row_counts_the_headers_before_it(tmp_path: Path) -> None:
+    header, *lines = TABLE.splitlines()
+    with pytest.raises(TraceError, match=r"log\.csv:604: column 'acc_x' holds 'oops'"):
+        read(tmp_path, "\n".join([header, *lines[:300], header, *lines[300:], header, "9,oops,0,9.8,0,0,0"]))
+
+
+def test_a_header_of_other_columns_within_a_table_is_refused(tmp_path: Path) -> None:
+    header, *lines = TABLE.splitlines()
+    other = header.replace("acc_x,acc_y", "acc_y,acc_x")
+    with pytest.raises(TraceError, match=r"log\.csv:302: column 'time' holds 'time', which is not a number"):
+        read(tmp_path, "\n".join([header, *lines[:300], other, *lines[300:]]))
