@@ -145,5 +145,7 @@ def _refuse_apart(accelerometer: _Side, gyroscope: _Side) -> None:
     if gyroscope.last < accelerometer.first < np.inf or accelerometer.last < gyroscope.first < np.inf:
         spans = f"{gyroscope.first:.6g} to {gyroscope.last:.6g} s"
         own = f"{accelerometer.first:.6g} to {accelerometer.last:.6g} s"
-        what = f"its time range, {spans}, does not overlap that of {accelerometer.path.name}, {own}"
-        raise TraceError(gyroscope.path, what, "give two files of one recording on one clock")
+        apart = "" if gyroscope.path == accelerometer.path else f" in {accelerometer.path.name}"
+        whose = f"those of the accelerometer{apart}"
+        what = f"the gyroscope's times, {spans}, do not overlap {whose}, {own}"
+        raise TraceError(gyroscope.path, what, "give both sensors of one recording on one clock")

@@ -32,7 +32,7 @@ from stillcal.replay.formats.recognition.names import (
     qualified,
     rates_alone,
 )
-from stillcal.replay.formats.recognition.settle import Rates, settled
+from stillcal.replay.formats.recognition.settle import OneSensor, settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow, side_by_side
@@ -129,12 +129,14 @@ def _named_table(path: Path, size: int, group: str, arrays: _Arrays) -> NumberTa
     return table
 
 
-def _rates_of(group: str, groups: Mapping[str, _Arrays], tables: Mapping[str, NumberTable]) -> Rates | None:
+def _rates_of(
+    group: str, groups: Mapping[str, _Arrays], tables: Mapping[str, NumberTable]
+) -> OneSensor | None:
     """Return the group of a gyroscope alone that belongs to a group: the only one beside it, or at all."""
     alone = [other for other in tables if other != group and rates_alone(tables[other].names or [])]
     beside = [other for other in alone if other.rpartition("/")[0] == group.rpartition("/")[0]]
     chosen = next((found[0] for found in (beside, alone) if len(found) == 1), None)
-    return None if chosen is None else Rates(tables[chosen], load_map("csv"), groups[chosen].rate_hz)
+    return None if chosen is None else OneSensor(tables[chosen], load_map("csv"), groups[chosen].rate_hz)
 
 
 def _with_clocks(by_group: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:

@@ -13,6 +13,15 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.table import Table
 
+
+class GyroscopeAloneError(TraceError):
+    """A recording holds rates and no acceleration."""
+
+    def __init__(self, path: Path) -> None:
+        what = "holds a gyroscope and no accelerometer, without whose rests and gravity nothing is calibrated"
+        super().__init__(path, what, "give the accelerometer's file, and this one as --gyro")
+
+
 BOTH = (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
@@ -17,14 +18,16 @@ from stillcal.replay.formats.logs.gnss_logger import open_gnss_logger
 from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
-from stillcal.replay.formats.recognition.log import Log, LoggedSensor
+from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
 from stillcal.replay.formats.recognition.names import OWN, qualified, rates_alone
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
-from stillcal.replay.formats.recognition.settle import Rates, settled
+from stillcal.replay.formats.recognition.row_sensors import sensors_of_rows
+from stillcal.replay.formats.recognition.settle import OneSensor, settled
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
     GNSS_LOGGER,
     REST,
+    SENSOR_LOGGER,
     UNKNOWN,
     TextFormat,
     text_format,
@@ -61,10 +64,6 @@ _PAIRS = tuple(
     for force in forces
 )
 """Parts of the names of files that belong together: the accelerometer's, and the gyroscope's."""
-
-
-class GyroscopeAloneError(TraceError):
-    """A table holds rates and no acceleration."""
 
 
 class RestTableGivenError(TraceError):
@@ -140,7 +139,7 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
         said = [f"{path.name}: {name} is read; passed over: {_first_of(others)}"] if others else []
         return replace(log, notes=[*said, *log.notes])
     if not found and len(alone) == 1:
-        raise _alone(Path(path / next(iter(alone))))
+        raise GyroscopeAloneError(path / next(iter(alone)))
     names = _first_of(list(found or members))
     if not found:
         what = f"holds no recording that is known ({names or 'it is empty'})"
@@ -172,12 +171,6 @@ def _first_of(names: list[str]) -> str:
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
-def _alone(path: Path) -> GyroscopeAloneError:
-    """Return the error for a gyroscope without an accelerometer."""
-    what = "holds a gyroscope and no accelerometer, without whose rests and gravity nothing is calibrated"
-    return GyroscopeAloneError(path, what, "give the accelerometer's file, and this one as --gyro")
-
-
 def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
     """Return the log of a text table, by the given map or the one that its first lines ask for."""
     if column_map is not None:
@@ -189,19 +182,30 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
         return open_betaflight(source, form.column_map)
     if form.name == REST:
         raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
-    said = f" ({form.said})" if form.said else ""
-    notes = [f"{source.path.name}: read as {form.name}{said}"] if form.name not in (UNKNOWN, "csv") else []
+    sensors = []
+    if form.name in (UNKNOWN, *SENSOR_LOGGER):
+        sensors = sensors_of_rows(partial(TextTable, source, form.column_map), form.column_map, form.rate_hz)
+    if sensors:
+        return Log(source.path, "text table", sensors, beside=source.local)
     if form.name == UNKNOWN:
-        table = _table(source, form)
-        rates, said_of_rates = _rates_of(source, gyro)
-        sensors = settled(table, form.column_map, form.rate_hz, rates)
-        if sensors:
-            return Log(source.path, "text table", sensors, said_of_rates, beside=source.local)
-        if rates_alone(table.names or []):
-            raise _alone(source.path)
-        if table.names is not None and not OWN & set(table.names):
-            raise missing(table, [])
+        return _by_names(source, form, gyro)
+    said = f" ({form.said})" if form.said else ""
+    notes = [] if form.name == "csv" else [f"{source.path.name}: read as {form.name}{said}"]
     return _mapped(source, form, gyro, notes)
+
+
+def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
+    """Return the log of a text table of unknown make. Raises TraceError."""
+    table = _table(source, form)
+    rates, said = _rates_of(source, gyro)
+    sensors = settled(table, form.column_map, form.rate_hz, rates)
+    if sensors:
+        return Log(source.path, "text table", sensors, said, beside=source.local)
+    if rates_alone(table.names or []):
+        raise GyroscopeAloneError(source.path)
+    if table.names is not None and not OWN & set(table.names):
+        raise missing(table, [])
+    return _mapped(source, form, gyro, [])
 
 
 def _table(source: Source, form: TextFormat) -> TextTable:
@@ -212,7 +216,7 @@ def _table(source: Source, form: TextFormat) -> TextTable:
     return table
 
 
-def _rates_of(source: Source, gyro: Source | None) -> tuple[Rates | None, list[str]]:
+def _rates_of(source: Source, gyro: Source | None) -> tuple[OneSensor | None, list[str]]:
     """Return the gyroscope's own table: the given one, or the one beside; and what is to be said of it.
 
     Raises TraceError where the given one is of another format.
@@ -230,7 +234,7 @@ def _rates_of(source: Source, gyro: Source | None) -> tuple[Rates | None, list[s
         return None, [f"{given.path.name}: holds a header and no samples; read without a gyroscope"]
     if gyro is None and not rates_alone(table.names or []):
         return None, []
-    return Rates(table, form.column_map, form.rate_hz), []
+    return OneSensor(table, form.column_map, form.rate_hz), []
 
 
 def _mapped(source: Source, form: TextFormat, gyro: Source | None, notes: list[str]) -> Log:

@@ -8,7 +8,7 @@ beside g, and a note says so.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -74,8 +74,8 @@ class _Candidate:
 
 
 @dataclass(frozen=True, slots=True)
-class Rates:
-    """A table of its own that holds a gyroscope.
+class OneSensor:
+    """A table of its own that holds one sensor.
 
     column_map: how it is cut into columns. rate_hz: as the file states it.
     """
@@ -86,7 +86,7 @@ class Rates:
 
 
 def settled(
-    table: Table, column_map: ColumnMap, rate_hz: float | None = None, rates: Rates | None = None
+    table: Table, column_map: ColumnMap, rate_hz: float | None = None, rates: OneSensor | None = None
 ) -> list[LoggedSensor]:
     """Return the sensors that a table's column names and first samples show; none where they show none.
 
@@ -95,16 +95,38 @@ def settled(
     Raises TraceError where there are axes of an accelerometer that cannot be read.
     """
     candidates = _paired(table.names) if table.names is not None else _counted(table, rate_hz)
-    if not candidates:
-        return []
+    own = OneSensor(table, column_map, rate_hz)
+    return _readable([(candidate, own, rates) for candidate in candidates])
+
+
+def settled_apart(apart: Sequence[OneSensor]) -> list[LoggedSensor]:
+    """Return the sensors of tables that hold one each, an accelerometer with the gyroscope of its label.
+
+    The names of their axes differ from table to table. Raises TraceError as `settled` does.
+    """
+    by_name = {name: one for one in apart for name in one.table.names or ()}
+    found = []
+    for accelerometer, gyroscope in _pairs(find_axes(list(by_name))):
+        own = by_name[str(accelerometer.columns[0])]
+        candidate = _Candidate(accelerometer, None, find_stamps(own.table.names or ()))
+        found.append((candidate, own, None if gyroscope is None else by_name[str(gyroscope.columns[0])]))
+    return _readable(found)
+
+
+def _readable(candidates: Sequence[tuple[_Candidate, OneSensor, OneSensor | None]]) -> list[LoggedSensor]:
+    """Return those of accelerometers that can be read, under different names. Raises TraceError if none can.
+
+    candidates: each with the table that holds it, and that of a gyroscope apart.
+    """
     sensors: list[tuple[Axes, LoggedSensor]] = []
     faults: list[TraceError] = []
-    for candidate in candidates:
+    for candidate, own, rates in candidates:
         try:
-            sensors.append((candidate.accelerometer, _sensor(table, column_map, candidate, rate_hz, rates)))
+            sensor = _sensor(own.table, own.column_map, candidate, own.rate_hz, rates)
+            sensors.append((candidate.accelerometer, sensor))
         except TraceError as fault:
             faults.append(fault)
-    if not sensors:
+    if faults and not sensors:
         raise faults[0]
     alike = Counter(sensor.name for _, sensor in sensors)
     return [
@@ -116,23 +138,28 @@ def settled(
 
 
 def _paired(names: Sequence[str]) -> list[_Candidate]:
-    """Return each accelerometer with the gyroscope of its label, or the only one there is.
+    """Return each accelerometer of a table, with its gyroscope and the columns that may be its time."""
+    stamps = find_stamps(names)
+    found = []
+    for accelerometer, gyroscope in _pairs(find_axes(names)):
+        own = [s for s in stamps if s.label in ("", accelerometer.label)]
+        found.append(_Candidate(accelerometer, gyroscope, own + [s for s in stamps if s not in own]))
+    return found
+
+
+def _pairs(axes: Sequence[Axes]) -> Iterator[tuple[Axes, Axes | None]]:
+    """Yield each accelerometer with the gyroscope of its label, or the only one there is.
 
     Of several with one label, the first accelerometer belongs to the first gyroscope.
     """
-    axes, stamps = find_axes(names), find_stamps(names)
     force = [a for a in axes if a.sensor is Sensor.ACCELEROMETER]
     rates = [a for a in axes if a.sensor is Sensor.GYROSCOPE]
-    found = []
     for i, accelerometer in enumerate(force):
         same = [g for g in rates if g.label == accelerometer.label]
         earlier = sum(a.label == accelerometer.label for a in force[:i])
         same = same[earlier:] or same[-1:]
         alike = len(rates) == len(force)
-        gyroscope = same[0] if same else rates[0] if len(rates) == 1 else rates[i] if alike else None
-        own = [s for s in stamps if s.label in ("", accelerometer.label)]
-        found.append(_Candidate(accelerometer, gyroscope, own + [s for s in stamps if s not in own]))
-    return found
+        yield accelerometer, same[0] if same else rates[0] if len(rates) == 1 else rates[i] if alike else None
 
 
 def _counted(table: Table, rate_hz: float | None) -> list[_Candidate]:
@@ -164,7 +191,7 @@ def _counted(table: Table, rate_hz: float | None) -> list[_Candidate]:
 
 
 def _sensor(
-    table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None, rates: Rates | None
+    table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None, rates: OneSensor | None
 ) -> LoggedSensor:
     probe = _Probe(table)
     accelerometer, gyroscope = candidate.accelerometer, candidate.gyroscope
@@ -200,7 +227,7 @@ def _sensor(
     return LoggedSensor.of(accelerometer.label or "imu", parts, about, notes)
 
 
-def _rates_apart(rates: Rates, force: Part, force_unit: str) -> tuple[Part, str]:
+def _rates_apart(rates: OneSensor, force: Part, force_unit: str) -> tuple[Part, str]:
     """Return the gyroscope that a table of its own holds, and how to say it. Raises TraceError."""
     table = rates.table
     axes = next((a for a in find_axes(table.names or ()) if a.sensor is Sensor.GYROSCOPE), None)

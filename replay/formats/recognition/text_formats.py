@@ -32,6 +32,7 @@ from stillcal.replay.formats.tables.text import text_head, uncommented
 
 BETAFLIGHT, GNSS_LOGGER = "betaflight", "gnss_logger"
 REST, UNKNOWN = "rest", ""
+SENSOR_LOGGER = ("sensorlogger", "sensorlogger_ios")
 
 _HHAR_NAMES = ["Arrival_Time", "Creation_Time", "x", "y", "z"]
 _SENSOR_LOGGER_NAMES = {"time", "seconds_elapsed", "x", "y", "z"}
@@ -107,7 +108,7 @@ def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
     for name in sorted(builtin_formats(), key=lambda n: n != "csv"):
         column_map = load_map(name)
         fits = column_map.header and find_columns(_needed(column_map), names, len(names)) is not None
-        if fits and not name.startswith("sensorlogger") and (name != "csv" or is_own(names)):
+        if fits and name not in SENSOR_LOGGER and (name != "csv" or is_own(names)):
             return TextFormat(name, _cut_as(column_map, delimiter))
     return TextFormat(UNKNOWN, _cut_as(load_map("csv"), delimiter))
 
@@ -157,7 +158,7 @@ def _sensor_logger(names: list[str], rows: list[str]) -> TextFormat:
         if len(cells) == len(names) and _numbers_in([cells[p] for p in places]):
             norms.append(float(np.linalg.norm([float(cells[p]) for p in places])))
     in_g = bool(norms) and float(np.median(norms)) < _G_UNTIL
-    name = "sensorlogger_ios" if in_g else "sensorlogger"
+    name = SENSOR_LOGGER[in_g]
     return TextFormat(name, load_map(name))
 
 

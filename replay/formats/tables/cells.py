@@ -59,6 +59,19 @@ def holding(text: bytes, ends: NDArray[np.intp], key: Sequence[tuple[int, str]])
     return rows
 
 
+def add_texts(text: bytes, ends: NDArray[np.intp], place: int, known: list[str], most: int) -> None:
+    """Append the texts of the cells at a place that are not known yet, until more than `most` are."""
+    strange = np.ones(len(ends), dtype=np.bool_)
+    for one in known:
+        strange &= ~holding(text, ends, [(place, one)])
+    flat = ends.ravel()
+    while strange.any() and len(known) <= most:
+        cell = int(strange.argmax()) * ends.shape[1] + place
+        start = int(flat[cell - 1]) + 1 if cell else 0
+        known.append(text[start : int(flat[cell])].decode("utf-8", "backslashreplace"))
+        strange &= ~holding(text, ends, [(place, known[-1])])
+
+
 def cut_out(
     text: bytes, ends: NDArray[np.intp], rows: NDArray[np.bool_], columns: Sequence[int]
 ) -> tuple[bytes, NDArray[np.bool_]]:

@@ -27,20 +27,28 @@ class Block:
 class Table(Protocol):
     """A table that is read from its start as often as wanted.
 
-    path: what messages call it. names: of the columns, None without a header. width: cells in a row.
+    names: of the columns, None without a header. width: cells in a row.
     header_line: the line of the names, None where no line holds them. first_row: its cells as text, empty
-    where the cells are no text. size_bytes, bytes_read: as stored, and read by the latest reading.
-    skipped_rows: left out by it.
+    where the cells are no text. size_bytes: as stored.
+    skipped_rows: left out by the latest reading.
     """
 
-    path: Path
     names: list[str] | None
     width: int
     header_line: int | None
     first_row: list[str]
     size_bytes: int
-    bytes_read: int
     skipped_rows: int
+
+    @property
+    def path(self) -> Path:
+        """What messages call it."""
+        ...
+
+    @property
+    def bytes_read(self) -> int:
+        """Bytes read by the latest reading."""
+        ...
 
     @property
     def notes(self) -> list[str]:

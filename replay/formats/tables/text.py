@@ -22,6 +22,7 @@ from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import UNREADABLE, Source, damaged, source_of, unpacked
 from stillcal.replay.formats.tables.cells import (
+    add_texts,
     blanks_to_commas,
     cell_ends,
     cut_out,
@@ -30,6 +31,7 @@ from stillcal.replay.formats.tables.cells import (
     line_ends,
     read_numbers,
 )
+from stillcal.replay.formats.tables.chosen import MOST_TEXTS
 from stillcal.replay.formats.tables.compiled import compiled_reader
 from stillcal.replay.formats.tables.dates import Dates, NotADateError, is_date
 from stillcal.replay.formats.tables.plain import plain_text
@@ -115,13 +117,28 @@ class TextTable:
             ends = None if again else cell_ends(text, self.width)
             lines = np.arange(first_line, first_line + (0 if ends is None else len(ends)))
             if ends is None:
-                text, lines = self._walked(data, first_line, unfinished)
+                text, lines = self._walked(data, first_line, unfinished, key)
                 ends = cell_ends(text, self.width)
             if ends is None:
                 continue  # blank lines only
             rows = holding(text, ends, key)
             self.skipped_rows += int(np.count_nonzero(~rows))
             yield Block(self._numbers(text, ends, rows, lines, places), lines[rows])
+
+    def texts(self, place: int) -> list[str] | None:
+        """Return the different texts of a column; None where it holds more than MOST_TEXTS."""
+        known: list[str] = []
+        for data, *_ in self._line_blocks(BLOCK_BYTES):
+            text = self._normal(data)
+            ends = cell_ends(text, self.width)
+            if ends is not None:
+                add_texts(text, ends, place, known, MOST_TEXTS)
+            else:
+                rows = map(self._cells, data.decode("utf-8", "backslashreplace").split("\n"))
+                known = list(dict.fromkeys([*known, *(row[place] for row in rows if len(row) > place)]))
+            if len(known) > MOST_TEXTS:
+                return None
+        return known
 
     @property
     def notes(self) -> list[str]:
@@ -191,14 +208,22 @@ class TextTable:
     def _mark(self) -> bytes:
         return self.delimiter.encode()
 
-    def _walked(self, text: bytes, first_line: int, unfinished: bool) -> tuple[bytes, NDArray[np.int64]]:
-        """Return `text` without blank lines, repeated headers and quoted delimiters, and its rows' lines."""
+    def _walked(
+        self, text: bytes, first_line: int, unfinished: bool, key: Sequence[tuple[int, str]] = ()
+    ) -> tuple[bytes, NDArray[np.int64]]:
+        """Return `text` without blank lines, repeated headers and quoted delimiters, and its rows' lines.
+
+        A row without the key's texts may have any number of cells, and is left out where it has others.
+        """
         rows = text.decode("utf-8", "backslashreplace").split("\n")[:-1]
         rows_kept, lines = [], []
         for number, row in enumerate(rows, first_line):
             if not row.strip() or self._above.passed_over(row.strip(), number):
                 continue
             cells = self._cells(row)
+            if len(cells) != self.width and not _has(cells, key):
+                self.skipped_rows += 1
+                continue
             if len(cells) != self.width:
                 cut = unfinished and number == first_line + len(rows) - 1
                 what = f"{len(cells)} cells instead of {self.width}"
@@ -271,6 +296,11 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+def _has(cells: Sequence[str], key: Sequence[tuple[int, str]]) -> bool:
+    """Whether the cells of a row have the key's texts."""
+    return all(place < len(cells) and cells[place] == text for place, text in key)
 
 
 class _LinesAbove:

@@ -234,7 +234,7 @@ def test_a_bag_without_the_topic_names_those_it_has(tmp_path: Path, storage: Sto
 def test_topics_on_two_clocks_are_refused(tmp_path: Path) -> None:
     path = ros2_bag(tmp_path, split=True, rate_later_s=1.7e9)
     with pytest.raises(
-        TraceError, match=r"does not overlap that of .*two files of one recording on one clock"
+        TraceError, match=r"do not overlap those of .*both sensors of one recording on one clock"
     ):
         read_all(path)
 

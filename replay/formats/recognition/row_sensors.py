@@ -1,0 +1,57 @@
+"""Tables that hold one row for each sensor and time: `sensor,timestamp,x,y,z`, in any order of columns.
+
+The column that names the sensor is known by what it holds: with its text, the axes' names are those of an
+accelerometer or a gyroscope, as `accelerometer.x` is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from stillcal.replay.formats.columns import ColumnMap
+from stillcal.replay.formats.recognition.log import GyroscopeAloneError, LoggedSensor
+from stillcal.replay.formats.recognition.names import find_axes, qualified, rates_alone
+from stillcal.replay.formats.recognition.settle import OneSensor, settled_apart
+from stillcal.replay.formats.tables.cells import is_number
+from stillcal.replay.formats.tables.chosen import ChosenRows, TableWithTexts
+from stillcal.replay.formats.tables.dates import is_date
+
+
+def sensors_of_rows(
+    opened: Callable[[], TableWithTexts], column_map: ColumnMap, rate_hz: float | None = None
+) -> list[LoggedSensor]:
+    """Return the sensors of a table with a row for each; none where it is no such table.
+
+    opened: opens the table, once for each sensor. column_map: how it is cut into columns. rate_hz: of each
+    sensor, as the file states it. Raises TraceError where the sensors' rows cannot be read.
+    """
+    table = opened()
+    place, texts = _naming(table)
+    if place is None:
+        return []
+    names = {text: qualified(table.names or [], text.strip()) for text in texts}
+    of_sensors = [text for text in texts if find_axes(names[text])]
+    if all(rates_alone(names[text]) for text in of_sensors):
+        raise GyroscopeAloneError(table.path)
+    apart = [
+        OneSensor(ChosenRows(opened(), place, text, names[text]), column_map, rate_hz) for text in of_sensors
+    ]
+    others = sorted({text.strip() for text in texts} - {text.strip() for text in of_sensors})
+    said = f"{table.path.name}: a row for each sensor, by {table.column_name(place)}: {', '.join(of_sensors)}"
+    said += f"; passed over: {', '.join(others)}" if others else ""
+    return [replace(sensor, notes=(said, *sensor.notes)) for sensor in settled_apart(apart)]
+
+
+def _naming(table: TableWithTexts) -> tuple[int | None, Sequence[str]]:
+    """Return the place of the column that names the sensors, and its texts; None where there is none."""
+    names = table.names or []
+    if find_axes(names) or len(names) != len(table.first_row):
+        return None, ()
+    for place, cell in enumerate(table.first_row):
+        if is_number(cell.strip().encode()) or is_date(cell.strip().encode()):
+            continue
+        texts = [text for text in table.texts(place) or [] if text != names[place]]  # of a repeated header
+        if any(find_axes(qualified(names, text.strip())) for text in texts):
+            return place, texts
+    return None, ()

@@ -1,0 +1,150 @@
+"""Tables with one row for each sensor and time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.tables import text as text_module
+from stillcal.replay.formats.trace import Recording, open_trace, read_all
+from tests.support.log_files import DATA
+
+T, FORCE, RATE = DATA[:, 0], DATA[:, 1:4], DATA[:, 4:]
+DEGREES = 180 / np.pi
+BOOT_NS = 81_000_000_000_000
+
+
+def sensor_rows(
+    force: str = "accelerometer",
+    rates: str = "gyroscope",
+    others: Sequence[str] = ("magnetometer,{t},20.0,-5.0,40.0",),
+    per_g: float = 1.0,
+    per_rad: float = 1.0,
+) -> list[str]:
+    """Return rows `sensor,timestamp,x,y,z`, ns, the gyroscope 3 ms after the accelerometer."""
+    rows = []
+    force_xyz, rate_xyz = (FORCE * per_g).tolist(), (RATE * per_rad).tolist()
+    for t, (ax, ay, az), (gx, gy, gz) in zip(T, force_xyz, rate_xyz, strict=True):
+        ns = BOOT_NS + round(t * 1e9)
+        rows.append(f"{force},{ns},{ax!r},{ay!r},{az!r}")
+        rows += [other.format(t=ns + 1_000_000) for other in others]
+        rows.append(f"{rates},{ns + 3_000_000},{gx!r},{gy!r},{gz!r}")
+    return rows
+
+
+def in_order(rows: list[str], order: Sequence[int]) -> list[str]:
+    cells = (row.split(",") for row in rows)
+    return [",".join(row[i] for i in order) for row in cells]
+
+
+def read(folder: Path, rows: list[str]) -> Recording:
+    path = folder / "walk.csv"
+    path.write_text("\n".join(rows) + "\n")
+    return read_all(path)
+
+
+def assert_same(recording: Recording) -> None:
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-12)
+    np.testing.assert_allclose(recording.gyroscope.xyz, RATE, rtol=1e-12)
+    np.testing.assert_allclose(recording.accelerometer.t - BOOT_NS / 1e9, T, atol=1e-9)
+    np.testing.assert_allclose(recording.gyroscope.t - BOOT_NS / 1e9, T + 0.003, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("force", "rates"),
+    [
+        ("accelerometer", "gyroscope"),
+        ("ACC", "GYR"),
+        ("TYPE_ACCELEROMETER", "TYPE_GYROSCOPE"),
+        ("android.sensor.accelerometer", "android.sensor.gyroscope"),
+        ("BMI160 Accelerometer", "BMI160 Gyroscope"),
+        ("AccelerometerUncalibrated", "GyroscopeUncalibrated"),
+        ("TotalAcceleration", "Gyroscope"),
+        ('"accel"', '"gyro"'),
+    ],
+)
+@pytest.mark.parametrize("order", [(0, 1, 2, 3, 4), (1, 0, 2, 3, 4), (4, 3, 2, 1, 0)])
+def test_rows_of_sensors_are_read_in_any_order_of_columns(
+    tmp_path: Path, force: str, rates: str, order: Sequence[int]
+) -> None:
+    rows = ["sensor,timestamp,x,y,z", *sensor_rows(force, rates)]
+    recording = read(tmp_path, in_order(rows, order))
+    assert_same(recording)
+    assert any("passed over: magnetometer" in note for note in recording.notes)
+
+
+def test_each_block_holds_one_sensor_and_the_header_comes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(text_module, "BLOCK_BYTES", 4096)
+    header, *rows = ["kind,time_ns,x,y,z", *sensor_rows()]
+    by_kind = [row for kind in "mga" for row in rows if row.startswith(kind)]
+    recording = read(tmp_path, [header, *by_kind[:900], header, *by_kind[900:]])
+    assert_same(recording)
+    assert any("1 line repeats the header" in note for note in recording.notes)
+
+
+def test_rows_of_other_sensors_may_have_other_cells(tmp_path: Path) -> None:
+    others = ("light,{t},40", "step,{t},walking,,", "gps,{t},52.2,0.12,20,3,4")
+    assert_same(read(tmp_path, ["sensor,timestamp,x,y,z", *sensor_rows(others=others)]))
+
+
+def test_units_are_found_by_gravity(tmp_path: Path) -> None:
+    rows = ["sensor,timestamp,x,y,z", *sensor_rows(per_g=1 / 9.80665, per_rad=DEGREES)]
+    recording = read(tmp_path, rows)
+    assert_same(recording)
+    said = "; ".join(recording.notes)
+    assert "in g (by the size of gravity)" in said and "in deg/s (as gravity's direction turns)" in said
+
+
+def test_of_raw_and_corrected_rows_both_are_listed_and_the_raw_ones_read(tmp_path: Path) -> None:
+    corrected = ("AccelerometerCalibrated,{t},0.5,0.5,9.5", "LinearAcceleration,{t},0.01,0.02,0.03")
+    path = tmp_path / "walk.csv"
+    rows = sensor_rows("AccelerometerUncalibrated", "GyroscopeUncalibrated", corrected)
+    path.write_text("\n".join(["sensor,timestamp,x,y,z", *rows]))
+    assert_same(read_all(path))
+    with pytest.raises(TraceError, match=r"no sensor 'watch'; choose one of: imu.*calibrated"):
+        open_trace(path, sensor="watch")
+
+
+def test_a_faulty_row_of_a_sensor_is_named_and_others_are_not(tmp_path: Path) -> None:
+    rows = ["sensor,timestamp,x,y,z", *sensor_rows()]
+    rows[302] = "magnetometer,not a time,?,?,?"
+    assert_same(read(tmp_path, rows))
+    rows[301] = "accelerometer,81000000000000,oops,0,0"
+    with pytest.raises(TraceError, match=r"walk\.csv:302: column 'x' holds 'oops'"):
+        read(tmp_path, rows)
+    rows[301] = "accelerometer,81000000000000,0,0"
+    with pytest.raises(TraceError, match=r"walk\.csv:302: 4 cells instead of 5"):
+        read(tmp_path, rows)
+
+
+def test_a_gyroscopes_rows_alone_are_refused(tmp_path: Path) -> None:
+    rows = [row for row in sensor_rows() if not row.startswith("acc")]
+    with pytest.raises(TraceError, match=r"walk\.csv: holds a gyroscope and no accelerometer"):
+        read(tmp_path, ["sensor,timestamp,x,y,z", *rows])
+
+
+def test_two_clocks_are_refused(tmp_path: Path) -> None:
+    cells = [row.split(",") for row in sensor_rows()]
+    epoch = 1_700_000_000_000_000_000
+    rows = [
+        ",".join([c[0], str(int(c[1]) + epoch) if c[0] == "gyroscope" else str(int(c[1]) // 10**6), *c[2:]])
+        for c in cells
+    ]
+    with pytest.raises(TraceError, match=r"do not overlap those of the accelerometer, .*on one clock"):
+        read(tmp_path, ["sensor,timestamp,x,y,z", *rows])
+
+
+def test_a_column_of_what_a_person_does_names_no_sensor(tmp_path: Path) -> None:
+    path = tmp_path / "accelerometer.csv"
+    lines = [
+        f"{t!r},{x!r},{y!r},{z!r},walking" for t, (x, y, z) in zip(T.tolist(), FORCE.tolist(), strict=True)
+    ]
+    path.write_text("\n".join(["timestamp,x,y,z,activity", *lines]))
+    np.testing.assert_array_equal(read_all(path).accelerometer.xyz, FORCE)
