@@ -16,7 +16,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS, OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
-from stillcal.calib_core.diagnosis.comparison.pair_turns import Arm
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination, still_bins

@@ -15,14 +15,14 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
-from stillcal.calib_core.diagnosis.comparison.pair_turns import Readings, align
-from stillcal.calib_core.diagnosis.comparison.paired import (
+from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     compare_in_pair,
-    examined_in_pair,
-    pair_scenes,
     without_equation,
     without_found,
 )
+from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination

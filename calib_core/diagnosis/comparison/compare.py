@@ -35,15 +35,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
-from stillcal.calib_core.diagnosis.comparison.stated import (
-    differs,
-    discrepancy,
-    key_of,
-    sole_discrepancy,
-    undecided,
-    with_unequal,
-    worth_telling,
-)
+from stillcal.calib_core.diagnosis.comparison.stated import concluded, differs, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -86,30 +78,21 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
             missing.append(NotCompared(*key, reason or "neither of the two shows it"))
     looked = [_looked_for(exam) for exam in exams]
     reasons = [one.reasons for one in looked]
-    direct, more, unseen = differences_of_samples(exams, reasons, names, unlogged)
+    direct, alone, unseen = differences_of_samples(exams, reasons, names, unlogged)
     pairs += direct
-    pairs = weighed(pairs, max(len(pairs) + len(more), 1))
+    pairs = weighed(pairs, max(len(pairs) + len(alone), 1))
     hidden = {id(d): why for d in pairs if differs(d) and (why := not_logged.of_difference(unlogged, d))}
     missing += [NotCompared(*key_of(d), hidden[id(d)]) for d in pairs if id(d) in hidden]
-    pairs = [d for d in pairs if id(d) not in hidden]
-    count = len(pairs) + len(more)
-    found = [discrepancy(d) for d in pairs if differs(d)]
-    sole = [sole_discrepancy(one, count) for one in more]
-    found += [d for d in sole if d.probability >= CERTAIN]
-    asked = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
-    agreed = with_unequal([d for d in pairs if d.agrees and worth_telling(d, asked)])
     missing += unseen
-    unsure = [undecided(d, names) for d in pairs if not d.agrees and not differs(d)]
-    evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
-    evidence += [(finding.effect, gain) for finding, gain, _ in more]
-    found.sort(key=lambda d: -d.log_bayes_factor)
-    told = {*map(key_of, pairs), *((n.effect, n.sensor) for n in missing)}
-    told |= {(finding.effect, finding.sensor) for finding, _, _ in more}
-    neither, not_both = in_neither(reasons, told, names)
+    pairs = [d for d in pairs if id(d) not in hidden]
+    neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
+    count = len(pairs) + len(alone)
+    asked = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
     smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
     smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
     checks = count + len(neither)
-    return Comparison(found, agreed, pairs, [*missing, *not_both], unsure, checks, evidence, smallest)
+    whole = concluded(pairs, alone, [*missing, *not_both], names, among=count, checks=checks, had=asked)
+    return replace(whole, smallest=smallest)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
 from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, direct_checks
 from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.quantity import (
-    CERTAIN,
     Difference,
     Key,
     Quantity,
@@ -24,16 +23,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
-from stillcal.calib_core.diagnosis.comparison.stated import (
-    Sole,
-    differs,
-    discrepancy,
-    key_of,
-    sole_discrepancy,
-    undecided,
-    with_unequal,
-    worth_telling,
-)
+from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 
@@ -60,23 +50,11 @@ def compare_samples(
     alone = [one for one in alone if _is_compared((one[0].effect, one[0].sensor))]
     missing = [n for n in missing if _is_compared((n.effect, n.sensor))]
     missing += [_missing(key, sides, exams, names) for key in keys if key not in both]
-    told = {*map(key_of, pairs), *((n.effect, n.sensor) for n in missing)}
-    told |= {(finding.effect, finding.sensor) for finding, _, _ in alone}
-    neither, not_both = in_neither(reasons, told, names)
+    neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
     count = len(pairs) + len(alone) + len(neither)
-    pairs = weighed(pairs, max(count + beside, 1))
-    found = [discrepancy(d) for d in pairs if differs(d)]
-    sole = [sole_discrepancy(one, count + beside) for one in alone]
-    evidence = [(d.recorded.effect, d.log_bayes_factor) for d in pairs]
-    return Comparison(
-        discrepancies=[*found, *(d for d in sole if d.probability >= CERTAIN)],
-        agreed=with_unequal([d for d in pairs if d.agrees and worth_telling(d, set())]),
-        compared=pairs,
-        not_compared=[*missing, *not_both],
-        undecided=[undecided(d, names) for d in pairs if not d.agrees and not differs(d)],
-        comparisons=count,
-        evidence=[*evidence, *((finding.effect, nats) for finding, nats, _ in alone)],
-    )
+    among = max(count + beside, 1)
+    pairs = weighed(pairs, among)
+    return concluded(pairs, alone, [*missing, *not_both], names, among=among, checks=count)
 
 
 def _is_compared(key: Key) -> bool:
@@ -154,12 +132,15 @@ def _paired(one: Finding, other: Finding) -> list[Difference]:
 
 
 def in_neither(
-    reasons: Sequence[Reasons], told: set[Key], names: tuple[str, str]
+    reasons: Sequence[Reasons], said: set[Key], names: tuple[str, str]
 ) -> tuple[list[Key], list[NotCompared]]:
-    """Return what was looked for in both and found in neither, and what one of the two cannot show."""
+    """Return what was looked for in both and found in neither, and what one of the two cannot show.
+
+    said: effects and sensors of which something is said already.
+    """
     neither, missing = [], []
     for key in dict.fromkeys([*reasons[0], *reasons[1]]):
-        if key in told or key[0].endswith(MEASURED_ELSEWHERE):
+        if key in said or key[0].endswith(MEASURED_ELSEWHERE):
             continue
         whys = [one.get(key, _why_not_sought(key[0])) for one in reasons]
         cannot = [f"{name}: {why}" for name, why in zip(names, whys, strict=True) if why is not None]

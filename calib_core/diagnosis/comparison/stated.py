@@ -1,18 +1,59 @@
-"""Differences of two recordings as they are stated: the name, the relation, the axes."""
+"""Differences of two recordings as they are stated: what differs, by name, relation and axes; what agrees."""
 
 from __future__ import annotations
+
+from collections.abc import Set
 
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import noise
 from stillcal.calib_core.diagnosis.comparison.direct import named
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Key, posterior
-from stillcal.calib_core.diagnosis.comparison.records import Discrepancy, NotCompared
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 
 Sole = tuple[Finding, float, bool]
 """What one recording alone has, the evidence for it in nats, and whether it is the recording, not SIM."""
+
+
+def concluded(
+    compared: list[Difference],
+    alone: list[Sole],
+    missing: list[NotCompared],
+    names: tuple[str, str],
+    *,
+    among: int,
+    checks: int,
+    had: Set[Key] = frozenset(),
+) -> Comparison:
+    """Return what differs, what agrees and what is undecided of all that was compared.
+
+    compared: with their probabilities; alone: what one of the two alone has; missing: what could not be
+    compared; names: of both. among: quantities of which one is expected to differ; checks: those that were
+    possible; had: effects that one of the two was asked for.
+    """
+    sole = [sole_discrepancy(one, among) for one in alone]
+    found = [
+        *(discrepancy(d) for d in compared if differs(d)),
+        *(d for d in sole if d.probability >= CERTAIN),
+    ]
+    evidence = [(d.recorded.effect, d.log_bayes_factor) for d in compared]
+    return Comparison(
+        discrepancies=sorted(found, key=lambda d: -d.log_bayes_factor),
+        agreed=with_unequal([d for d in compared if d.agrees and worth_telling(d, had)]),
+        compared=compared,
+        not_compared=missing,
+        undecided=[undecided(d, names) for d in compared if not d.agrees and not differs(d)],
+        comparisons=checks,
+        evidence=[*evidence, *((finding.effect, nats) for finding, nats, _ in alone)],
+    )
+
+
+def told(compared: list[Difference], alone: list[Sole], missing: list[NotCompared]) -> set[Key]:
+    """Return of which effects and sensors something is said already."""
+    keys = {*map(key_of, compared), *((n.effect, n.sensor) for n in missing)}
+    return keys | {(finding.effect, finding.sensor) for finding, _, _ in alone}
 
 
 def differs(difference: Difference) -> bool:
@@ -25,7 +66,7 @@ def key_of(difference: Difference) -> Key:
     return difference.recorded.effect, difference.recorded.sensor
 
 
-def worth_telling(difference: Difference, had: set[Key]) -> bool:
+def worth_telling(difference: Difference, had: Set[Key]) -> bool:
     """Whether agreement says something: a noise, or an effect that one of the two was found to have."""
     if difference.recorded.none and difference.simulated.none:
         return False

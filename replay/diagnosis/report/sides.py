@@ -16,7 +16,7 @@ from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.diagnosis.report.curves import Curve, curves_of
 
 PAIR = "pair_"
-"""How the names of residuals against another sensor begin (`comparison.paired`)."""
+"""How the names of residuals against another sensor begin (`comparison.pair.scenes`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.pair_motion import Motion, left_in_motion
-from stillcal.calib_core.diagnosis.comparison.paired import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.motion import Motion, left_in_motion
+from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.replay.diagnosis.paired import less, mean_readings
 from tests.support.diagnosis.turned_pairs import REST, Flaw, perfect, turned

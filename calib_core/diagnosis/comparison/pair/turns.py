@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.linear import effect_quantity
-from stillcal.calib_core.diagnosis.comparison.pair_delay import (
+from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     COMMON,
     Late,
     aligned,

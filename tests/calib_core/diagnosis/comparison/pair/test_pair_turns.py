@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.pair_turns import Alignment, align
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, align
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.replay.diagnosis.paired import mean_readings, readings_of
 from tests.support.diagnosis.turned_pairs import RATE, Flaw, perfect, turned

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.pair_delay import (
+from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     LEAST_PIECES,
     PIECES,
     _moving,

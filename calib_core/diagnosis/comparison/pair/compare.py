@@ -1,0 +1,106 @@
+"""What one of two sensors on one motion has and the other has not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
+from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, taken_out
+from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, subtract, weighed
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
+from stillcal.calib_core.diagnosis.comparison.stated import axes_of
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.slow.findings import Stated
+
+NOT_SOUGHT = "it is not looked for in a pair"
+
+
+def compare_in_pair(exam: Examination, motion: Alignment | None = None) -> Comparison:
+    """Return what the recording has and the other sensor has not. exam: from `examined_in_pair`.
+
+    motion: what the two differ by in motion; without it (a witness) that, and bias, scale and misalignment of
+    one against the other, are a matter of mounting.
+    """
+    found = compare_with_ideal(exam, samples=motion is None)
+    found = _only_sought(found, motion, gyroscope=exam.gyroscope is not None)
+    measured = [q for scene in exam.scenes for q in measured_in_pair(exam, scene)]
+    measured += [] if motion is None else motion.quantities
+    named = {(d.effect, d.sensor): d for d in found.discrepancies if d.effect != "unknown"}
+    differences = [subtract(q, _none_of(q)) for q in measured]
+    fitted = {(d.recorded.effect, d.recorded.sensor): d for d in differences}
+    out = [_sized(d, fitted.get(key)) for key, d in named.items()]
+    out += [d for d in found.discrepancies if d.effect == "unknown"]
+    if motion is None:
+        return replace(found, discrepancies=out)
+    pairs = [d for key, d in fitted.items() if key[0].endswith(("_bias", "_scale"))]
+    count = found.comparisons + len(pairs)
+    pairs = weighed(pairs, max(count, 1))
+    out += [_of_constant(d) for d in pairs if d.probability >= CERTAIN]
+    return replace(
+        found,
+        discrepancies=sorted(out, key=lambda d: -d.log_bayes_factor),
+        compared=pairs,
+        comparisons=count,
+        evidence=[*found.evidence, *((d.recorded.effect, d.log_bayes_factor) for d in pairs)],
+    )
+
+
+def _only_sought(found: Comparison, motion: Alignment | None, *, gyroscope: bool) -> Comparison:
+    """Leave out what is not looked for in a pair: what motion shows where there is too little of it."""
+    known = {(n.effect, n.sensor): n.reason for n in found.not_compared}
+    of_turns = [(effect, "gyro") for effect in OF_TURNS if effect != "gyro_scale"] if gyroscope else []
+    count = found.comparisons + len(known)
+    if motion is None:
+        reasons = known | dict.fromkeys(of_turns, NOT_SOUGHT)
+        count -= len(reasons)
+    else:
+        still = "it moves too little in most of the recording" if gyroscope else "no gyroscope"
+        every = [*of_turns, *MOTION]
+        reasons = {key: why for key, why in known.items() if key not in every}
+        missing = {key: known.get(key, still) for key in every if key not in motion.sought}
+        count += len(MOTION) - len(reasons | missing)
+        reasons |= missing
+    return replace(
+        found, not_compared=[NotCompared(*key, why) for key, why in reasons.items()], comparisons=count
+    )
+
+
+def without_found(
+    exam: Examination, found: Comparison, direct: Sequence[Stated], motion: Alignment | None = None
+) -> Comparison:
+    """Take what was found out of the difference of readings, by its equations, and judge what is left.
+
+    direct: what is stated besides; motion: what the corrected simulation differs by in motion.
+    """
+    names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
+    scenes = [taken_out(exam, scene, names) for scene in exam.scenes]
+    after = examined_in_pair(exam, exam.bins, scenes, direct)
+    return compare_in_pair(after, motion)
+
+
+def without_equation(found: Comparison) -> list[str]:
+    """Return the effects that no equation takes out of the difference of readings."""
+    return [d.effect for d in found.discrepancies if d.difference is None]
+
+
+def _none_of(quantity: Quantity) -> Quantity:
+    """Return the other sensor's part: nothing, for it is what the one is measured against."""
+    k = quantity.value.size
+    return replace(quantity, value=np.zeros(k), covariance=np.zeros((k, k)))
+
+
+def _sized(found: Discrepancy, difference: Difference | None) -> Discrepancy:
+    return found if difference is None else replace(found, difference=difference)
+
+
+def _of_constant(difference: Difference) -> Discrepancy:
+    one = difference.recorded
+    assert one.where is not None, "constants say where they were measured"
+    return Discrepancy(one.effect, one.sensor, axes_of(difference), one.where, "lacking",
+                       difference.probability, difference.log_bayes_factor, difference)  # fmt: skip

@@ -1,0 +1,107 @@
+"""What was found between two sensors as numbers, beside bias, scale and misalignment of one to the other.
+
+These constants are nuisances of the search, and are measured with what it found.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear import (
+    ALIKE_BIAS,
+    ALIKE_SCALE,
+    RATE_BIAS_SIZE,
+    effect_quantity,
+    rows_of,
+    transferable,
+)
+from stillcal.calib_core.diagnosis.comparison.pair.scenes import GAIN_SIZES
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
+from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+
+BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
+
+
+def measured_in_pair(exam: Examination, scene: Scene) -> list[Quantity]:
+    """Return bias, scale and every effect found in a scene, of the one sensor less the other."""
+    every, value, covariance = _fitted(exam, scene)
+    where = Where(*scene.bins.span, SLOW_BAND, "nothing")
+    reference = scene.moments.history.reference_c
+    at = {} if reference is None else {"temperature_c": reference}
+    # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
+    warm = at if scene.sensor == "accel" else {}
+    out = [
+        _bias(scene.sensor, value, covariance, where, at),
+        _scale(scene.sensor, value, covariance, where, warm),
+    ]
+    for hypothesis, rows in zip(every[1:], rows_of(every)[1:], strict=True):
+        if transferable(hypothesis):
+            one = effect_quantity(scene.bins.span, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
+            warm = at if one.effect.endswith("_temperature") else {}
+            out.append(replace(one, reference={**one.reference, **warm}))
+    return out
+
+
+def taken_out(exam: Examination, scene: Scene, names: set[tuple[str, str]]) -> Scene:
+    """Return a scene without the effects `names` and, where they are among them, the constants."""
+    every, value, _ = _fitted(exam, scene)
+    views = list(scene.views)
+    for hypothesis, rows in zip(every, rows_of(every), strict=True):
+        size = value[rows].copy()
+        if hypothesis is every[0]:
+            size[:3] *= (f"{scene.sensor}_bias", scene.sensor) in names
+            size[3:] *= (f"{scene.sensor}_scale", scene.sensor) in names
+        elif (hypothesis.effect.name, scene.sensor) not in names:
+            continue
+        views = [
+            replace(v, y=v.y - columns @ size) for v, columns in zip(views, hypothesis.columns, strict=True)
+        ]
+    return replace(scene, views=tuple(views))
+
+
+def _fitted(exam: Examination, scene: Scene) -> tuple[list[Hypothesis], Array, Array]:
+    """Fit constants and everything found; return hypotheses, values (k,) and covariance, in their units."""
+    bare = tuple(replace(v, baseline=v.baseline[:, :, :0], absorbed=None) for v in scene.views)
+    free = replace(scene, views=bare)
+    own = [s.hypothesis for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+    every = [_constants(scene), *own]
+    whole = together(scene, every)
+    fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
+    return every, fit.beta * whole.sizes, fit.covariance * np.outer(whole.sizes, whole.sizes)
+
+
+def _constants(scene: Scene) -> Hypothesis:
+    """Return bias and what the sensor reads of the other's input, nine numbers row by row."""
+    true = scene.bins.force if scene.sensor == "accel" else scene.bins.rate
+    assert true is not None, "a scene of the gyroscope has rates"
+    n = len(scene.bins)
+    gain = (np.eye(3)[None, :, :, None] * true[:, None, None, :]).reshape(n, 3, 9)
+    response = np.concatenate([on_axes(np.ones(n)), gain], axis=2)
+    parameters = (BIAS[scene.sensor], *(Linear("gain", "1", 1, float(s)) for s in GAIN_SIZES.ravel()))
+    return Hypothesis(Parameters("constants", scene.sensor, parameters), {}, scene.columns_of(response))
+
+
+def _bias(sensor: str, value: Array, covariance: Array, where: Where, at: dict[str, float]) -> Quantity:
+    own, axes = BIAS[sensor], np.arange(3)
+    alike = np.full(3, ALIKE_BIAS[sensor])
+    part = (Part("bias", own.unit, 3),)
+    return Quantity(f"{sensor}_bias", sensor, part, value[:3], covariance[:3, :3], np.full(3, own.size),
+                    alike, axes, reference=at, where=where)  # fmt: skip
+
+
+def _scale(sensor: str, value: Array, covariance: Array, where: Where, at: dict[str, float]) -> Quantity:
+    """Return the scale of the correction, nine numbers: what the sensor reads too much, negated."""
+    rows = slice(3, 12)
+    part = (Part("scale", "1", 9),)
+    sizes, alike, axes = GAIN_SIZES.ravel(), np.full(9, ALIKE_SCALE), np.repeat(np.arange(3), 3)
+    return Quantity(f"{sensor}_scale", sensor, part, -value[rows], covariance[rows, rows], sizes,
+                    alike, axes, reference=at, where=where)  # fmt: skip

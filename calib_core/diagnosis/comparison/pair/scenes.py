@@ -1,0 +1,91 @@
+"""The difference of two sensors' readings, cut into bins: a scene of each sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear import MODEL_ERROR
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples
+
+GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
+"""Prior size of what one sensor reads of the other's input: scale on the diagonal, misalignment beside it."""
+
+
+def pair_scenes(
+    difference: Readings,
+    true: Readings,
+    events: Sequence[Charging],
+    mismatch: float,
+    added: Readings | None = None,
+) -> tuple[Bins, list[Scene]]:
+    """Return the bins of a whole recording and a scene of each sensor.
+
+    difference: what the recording reads less what the other does, with the recording's temperature; true:
+    what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
+    which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
+    where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
+    their form. Raises NotSupported where it is too short.
+    """
+    t = difference.force.t
+    span = (float(t[0]), float(t[-1]))
+    moved = cut_all(true.force, true.rate, events, span)
+    moving = in_motion(true.force, true.rate, moved) if mismatch == 0.0 else np.ones(len(moved))
+    judged = moving if np.sum(moving == 0.0) >= thresholds.LEAST_BINS else None
+    left = cut_all(difference.force, difference.rate, events, span, judged)
+    if len(left) < thresholds.LEAST_BINS:
+        least = thresholds.LEAST_BINS * 4
+        raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
+    known = None if added is None else cut_all(added.force, added.rate, events, span)
+    bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
+    up = moved.force / STANDARD
+
+    def scene(
+        sensor: str, mean: Array, variance: Array, read: Samples, inputs: tuple[Array, Array | None]
+    ) -> Scene:
+        shaken = mismatch**2 * shaking(read, left)[:, None]
+        return Scene(sensor, bins, _views(left, mean, variance + shaken, inputs, judged), STANDARD, up)
+
+    inputs = (moved.force, None if known is None else known.force)
+    scenes = [scene("accel", left.force, left.force_variance, true.force, inputs)]
+    if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
+        assert true.rate is not None, "it was cut"
+        inputs = (moved.rate, None if known is None else known.rate)
+        scenes.append(scene("gyro", left.rate, left.rate_variance, true.rate, inputs))
+    return bins, scenes
+
+
+def _views(
+    bins: Bins, left: Array, variance: Array, inputs: tuple[Array, Array | None], moving: Array | None
+) -> tuple[View, ...]:
+    """Return the views of three axes. inputs: the true ones (n, 3), and what effects of turns added there."""
+    n, (true, added) = len(bins), inputs
+    roughly = np.zeros((n, 3)) if added is None else MODEL_ERROR * added
+    return tuple(
+        View(
+            name=f"pair_{'xyz'[a]}",
+            y=left[None, :, a],
+            baseline=np.ones((1, n, 1)),
+            variance=variance[:, a],
+            coupling=np.ones((n, n)),
+            project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
+            bins=np.arange(n),
+            t=bins.t,
+            duration=bins.duration,
+            rest=bins.rest,
+            absorbed=np.column_stack([true * GAIN_SIZES[a], roughly[:, a]]),
+            moving=moving,
+        )
+        for a in range(3)
+    )
