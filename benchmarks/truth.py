@@ -165,7 +165,10 @@ class Contest:
             for name, engine in self.engines.items():
                 record = engine.present.record
                 if record is not None:
-                    yield from told_by(name, record, sensor, t, Warmth.of(engine, t, celsius))
+                    step = engine.present.suspected.get(sensor)
+                    for answer in told_by(name, record, sensor, t, Warmth.of(engine, t, celsius)):
+                        more = 0.0 if step is None else step.uncertainty
+                        yield replace(answer, stated=np.hypot(answer.stated, more))
         if celsius is None:
             return
         for name, bias in (("offset table", self._table.bias(celsius)), ("vqf", self._vqf.bias())):

@@ -40,6 +40,7 @@ from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.calibration.suspicion import Suspicion
 from stillcal.calib_core.calibration.terms import compensated, terms_of
 from stillcal.calib_core.calibration.trial import TESTED, Trial, judge
 from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
@@ -208,6 +209,11 @@ def _rank(fit: AccelerometerFit) -> tuple[bool, int, float]:
     return fit.with_prior, -fit.parameters, fit.worst_norm_uncertainty
 
 
+def _without(suspected: dict[Sensor, Suspicion], sensor: Sensor) -> dict[Sensor, Suspicion]:
+    """Return what is suspected of other sensors."""
+    return {other: step for other, step in suspected.items() if other is not sensor}
+
+
 class CalibrationPolicy:
     """Checks, updates and renews the calibration in the engine's `state`.
 
@@ -244,7 +250,7 @@ class CalibrationPolicy:
         if check.verdict is Verdict.WAIT:
             self._update_bias_when_due(t)
             return
-        state.check_due, state.checked = False, t
+        state.check_due, state.checked, state.suspected = False, t, {}
         state.counters.checks += 1
         self._actions.append(Log(t, Level.INFO, "check", f"{check.verdict}", check.figures()))
         self.update_bias(t, since)
@@ -339,8 +345,9 @@ class CalibrationPolicy:
 
     def _publish_bias(self, updated: CalibrationRecord | None, t: float) -> None:
         if updated is not None:
-            self._state.record = updated
-            self._state.counters.zeroings += 1
+            state = self._state
+            state.record, state.suspected = updated, _without(state.suspected, Sensor.GYROSCOPE)
+            state.counters.zeroings += 1
             self._actions.append(Publish(t, updated, updated.acceptance.reason))
 
     def _learnt(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
@@ -490,6 +497,7 @@ class CalibrationPolicy:
             state.trials = ()
             state.memory = state.memory.where(state.memory.t >= (outcome.since or state.sound_until or t))
         state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
+        state.suspected = {}
         state.counters.calibrations += 1
         state.record = (
             outcome.record if outcome.record.gyroscope is None else self._refined(outcome.record, t)

@@ -147,6 +147,7 @@ class Engine:
         state.memory, state.trials = Memory(), ()
         state.record, state.degraded = record, False
         state.checked = state.sound_until = state.trouble = None
+        state.suspected = {}
         review_soon(state, self._now(), self.settings.schedule)
 
     def calibrate(self) -> list[Action]:

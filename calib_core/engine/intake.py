@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest
+from stillcal.calib_core.calibration.suspicion import innovation, suspected
 from stillcal.calib_core.engine.actions import Action, Level, Log
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.engine.state import EngineState, Move
@@ -158,6 +159,7 @@ class Intake:
         state.pool = self._index.with_rest(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
         state.attitudes = self._index.attitudes(state.pool)
         state.memory = state.memory.with_rest(rest, state.pool.held[-1].gravity.value)
+        self._suspect()
         state.fresh += 1
         state.counters.rests += 1
         self.join_tail()
@@ -171,6 +173,23 @@ class Intake:
         state.last_rest = rest
         why = f"lay still for {rest.duration:.1f} s"
         self._actions.append(Log(rest.t_end, Level.DEBUG, "rest", why, {"n": rest.n}))
+
+    def _suspect(self) -> None:
+        """Compare the newest rest with what is stated of both biases."""
+        state, significance = self._state, self._settings.quality.significance
+        for sensor in Sensor:
+            if state.record is None:
+                return
+            missed = innovation(state.record, sensor, state.memory.newest)
+            before = state.suspected.get(sensor)
+            after = None if missed is None else suspected(before, missed, significance)
+            if missed is None or after is None:
+                continue
+            state.suspected = state.suspected | {sensor: after}
+            if before is None:
+                why = f"one rest misses the {sensor}'s bias: it is uncertain until later rests decide"
+                figures = {"missed": float(np.abs(missed.missed).max())}
+                self._actions.append(Log(float(state.memory.t[-1]), Level.INFO, "suspected", why, figures))
 
     def _count_undersampled(self, rest: RestState) -> None:
         """Count a turn that the gyroscope's samples cannot follow, ended by `rest`; say so the first time."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from stillcal.calib_core import gravity as local_gravity
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.calibration.suspicion import Suspicion
 from stillcal.calib_core.calibration.trial import Trial
 from stillcal.calib_core.engine.duty_cycle import DutyBudget
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
@@ -94,8 +95,9 @@ class EngineState:
     its readings of late. charger: its changes of late. attitudes: number of distinct ones in the pool.
     fresh: rests gathered since the last attempt to fit. gyro_tail: gyroscope samples that the next
     rotation segment may be cut from. sound_until: when a calibration that now fails last passed a check.
-    refusal: why the last attempt to fit was refused. trouble: None where the last check passed. trials:
-    terms of a diagnosis that are tested on the rests since.
+    refusal: why the last attempt to fit was refused. trouble: None where the last check passed. suspected:
+    steps of a bias that a single rest since the last check may have shown. trials: terms of a diagnosis that
+    are tested on the rests since.
     """
 
     detector: DetectorState | None = None
@@ -128,6 +130,7 @@ class EngineState:
     sound_until: float | None = None
     refusal: Refusal | None = None
     trouble: Trouble | None = None
+    suspected: dict[Sensor, Suspicion] = field(default_factory=dict)
     trials: tuple[Trial, ...] = ()
     counters: Counters = field(default_factory=Counters)
 

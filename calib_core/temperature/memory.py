@@ -93,6 +93,11 @@ class Memory:
         """Return only the rests of some rows, by flags (n,)."""
         return self._of(column[rows] for column in self._columns())
 
+    @property
+    def newest(self) -> Memory:
+        """The newest rest alone."""
+        return self.where(np.arange(len(self)) == len(self) - 1)
+
     def without(self, row: int) -> Memory:
         """Return the memory without one rest."""
         return self.where(np.arange(len(self)) != row)

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.calibration.suspicion import Suspicion
 from stillcal.calib_core.engine.actions import Action
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
@@ -23,7 +24,7 @@ from stillcal.calib_core.engine.state import Counters, EngineState, Refusal, Tro
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.settings import Ledger, Sense, Sleep
 from stillcal.calib_core.streams.events import End, Event
-from stillcal.calib_core.streams.samples import SampleError, Samples
+from stillcal.calib_core.streams.samples import SampleError, Samples, Sensor
 from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.service.saved_state import SavedState, encode
@@ -40,7 +41,7 @@ SWITCH_S = 0.001
 class View:
     """The engine's state at one moment. decides: time of its next decision, s; inf where none is planned.
 
-    rests_kept: for learning. on_trial: effects of which a term is tested.
+    rests_kept: for learning. on_trial: effects of which a term is tested. suspected: steps of a bias.
     """
 
     want: Sense | Sleep
@@ -64,6 +65,7 @@ class View:
     charger: Charger = field(default_factory=Charger)
     rests_kept: int = 0
     on_trial: tuple[str, ...] = ()
+    suspected: Mapping[Sensor, Suspicion] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +202,7 @@ def _view(engine: Engine) -> View:
         charger=s.charger,
         rests_kept=len(s.memory),
         on_trial=tuple(trial.term.effect for trial in s.trials),
+        suspected=s.suspected,
     )
 
 

@@ -55,8 +55,8 @@ def calibration(
     accelerometer = _sensor(record.accelerometer, None)
     gyroscope = _sensor(record.gyroscope, _age(getattr(record.gyroscope, "zeroed_at", None), now))
     accelerometer = _at_present(record, Sensor.ACCELEROMETER, accelerometer, daemon, warmth)
-    if view.degraded and view.trouble is not None:
-        accelerometer = _widened(accelerometer, view.trouble.size)
+    if accelerometer is not None and view.degraded and view.trouble is not None:
+        accelerometer = _widened(accelerometer, np.full(3, view.trouble.size))
     gyroscope = _at_present(record, Sensor.GYROSCOPE, gyroscope, daemon, warmth)
     if gyroscope is not None and record.provisional:
         gyroscope = dataclasses.replace(gyroscope, provisional=True)
@@ -95,7 +95,7 @@ def _at_present(
     charged = None if now is None else daemon.view.charger.at(now)
     offset = bias_terms(record, sensor, at, None, late, charged=charged)
     bias = np.array(part.bias) + np.ravel(offset)
-    forecast = record.forecast.get(str(sensor))
+    forecast, step = record.forecast.get(str(sensor)), daemon.view.suspected.get(sensor)
     told = dataclasses.replace(
         part,
         bias_now=_finite(bias),
@@ -105,6 +105,8 @@ def _at_present(
         follows_temperature=any("slope" in t.parameters and t.sensor == sensor for t in record.terms),
         follows_charging=any(t.effect == BY_CHARGING and t.sensor == sensor for t in record.terms),
     )
+    if step is not None:
+        told = _widened(told, step.uncertainty)
     if forecast is None:
         return told
     return dataclasses.replace(
@@ -144,12 +146,12 @@ def _lagged(daemon: Daemon, temperature_c: float | None) -> Array | None:
     return daemon.view.thermometer.lagged(daemon.now, temperature_c)
 
 
-def _widened(part: api.SensorCalibration | None, size: float) -> api.SensorCalibration | None:
-    """Return the accelerometer's answer with its present uncertainty as large as its check was off."""
-    if part is None or part.bias_uncertainty_now is None:
+def _widened(part: api.SensorCalibration, sizes: Array) -> api.SensorCalibration:
+    """Return a sensor's answer with its present uncertainty larger by so much on each axis (3,)."""
+    if part.bias_uncertainty_now is None:
         return part
-    widened = [math.hypot(sd, size) for sd in part.bias_uncertainty_now]
-    return dataclasses.replace(part, bias_uncertainty_now=widened)
+    widened = np.hypot(part.bias_uncertainty_now, sizes)
+    return dataclasses.replace(part, bias_uncertainty_now=widened.tolist())
 
 
 def corrected(

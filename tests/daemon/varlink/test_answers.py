@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 import varlink
 
+from stillcal.calib_core.accelerometer.parameters import BIAS
 from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.suspicion import Suspicion
 from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.state import EngineState
@@ -337,5 +339,26 @@ def test_biases_are_for_the_latest_reading_of_the_thermometer_unless_a_temperatu
             line = [STILLCAL, "query", "--socket", str(folder / "socket")]
             shown = await asyncio.to_thread(subprocess.check_output, line, text=True)
             assert "temperature_c            35" in shown and "temperature_age_s        90" in shown
+
+    within_reason(test())
+
+
+def test_a_step_that_is_suspected_widens_what_is_stated(folder: Path, make_record: Any) -> None:
+    record = make_record(3)
+    known = np.array([0.001, 0.002, 0.003])
+    part = dataclasses.replace(record.gyroscope, covariance=np.diag(known**2), names=BIAS)
+    record = dataclasses.replace(record, gyroscope=part)
+    stored(folder, record)
+    step = Suspicion(np.array([0.02, 0.0, 0.0]), np.diag([1e-6, 4e-6, 0.0]))
+    state = EngineState(record=record, suspected={Sensor.GYROSCOPE: step})
+    saved = SavedState(state, PhoneClock(newest=5000.0))
+    saved_state.save(saved_state.state_path(folder / "store.json"), saved_state.encode(saved))
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]["gyroscope"]
+            assert found["bias_uncertainty"] == pytest.approx(known)
+            even = np.sqrt(0.5 * (np.array([1e-6, 4e-6, 0.0]) + np.array([0.0004, 0.0, 0.0])))
+            assert found["bias_uncertainty_now"] == pytest.approx(np.hypot(known, even))
 
     within_reason(test())
