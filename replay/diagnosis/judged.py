@@ -8,8 +8,9 @@ from typing import Any
 
 import msgspec
 
+from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine, still_bins
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import NotSupported

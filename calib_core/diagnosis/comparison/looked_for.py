@@ -13,7 +13,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.noise import why_no_density
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought
-from stillcal.calib_core.diagnosis.diagnose import LEAST_SAMPLES, Examination, Stream
+from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
@@ -31,6 +31,7 @@ from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
 from stillcal.calib_core.diagnosis.noise.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.noise.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
+from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream
 
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")
 """Slow effects, by the end of their names, for which it must be known when the phone was at rest."""

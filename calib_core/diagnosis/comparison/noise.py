@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Part, Quantity, Relation
-from stillcal.calib_core.diagnosis.diagnose import Examination, Stream
+from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.diagnosis.stamps.timestamps import mean_period
+from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples
 
 TIMES = float(np.log(3.0))

@@ -7,7 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.diagnose import diagnose, still_bins
+from stillcal.calib_core.diagnosis.clear_bins import still_bins
+from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model import rates
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, tilted
 from stillcal.calib_core.streams.samples import Samples, Sensor

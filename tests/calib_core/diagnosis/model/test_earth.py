@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.diagnose import still_bins
+from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.effects.by_force import GSensitivity
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model.earth import RATE, ground

@@ -1,0 +1,165 @@
+"""One sensor's samples: what its rests show of noise, steps and spectra, and the effects that values show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.direct import dead_zone, halves, missing_codes
+from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
+from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
+from stillcal.calib_core.diagnosis.direct.quantities import of_noise
+from stillcal.calib_core.diagnosis.direct.saturation import saturation
+from stillcal.calib_core.diagnosis.direct.step_changes import step_change
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, usual
+from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
+from stillcal.calib_core.diagnosis.noise import noise_level as noise
+from stillcal.calib_core.diagnosis.noise.gathered_noise import (
+    gathered_noise,
+    gathered_noise_finding,
+    without_parts,
+)
+from stillcal.calib_core.diagnosis.noise.heavy_tails import tails
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
+from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
+from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
+from stillcal.calib_core.diagnosis.noise.spectral_line import tones
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
+from stillcal.calib_core.streams.samples import Samples
+
+LEAST_SAMPLES = 200
+"""Samples below which nothing is judged."""
+
+SAME_HZ = 0.05
+"""Difference of two sensors' lines that is none: what a stretch of 20 s tells apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests)."""
+
+    sensor: str
+    samples: Samples
+    bins: Bins
+    still: Quiet
+    steps: Steps
+    spectra: Spectra | None
+    levels: noise.Levels | None
+
+    @classmethod
+    def of(cls, sensor: str, samples: Samples, bins: Bins, claims: Claims) -> Stream:
+        """Measure a sensor's rests; coarse steps hide its noise."""
+        still = quiet(samples, bins)
+        sd = (
+            np.sqrt(np.median([p.var(axis=0) for p in still.pieces], axis=0)) if still.pieces else np.zeros(3)
+        )
+        seen = steps(samples, sd)
+        floor = seen.largest**2 / (6.0 * still.rate)
+        made = None if seen.hides_noise() else spectrum.judged(still, floor)
+        return cls(
+            sensor, samples, bins, still, seen, made, None if made is None else noise.levels(made, floor)
+        )
+
+    def halves(self, claims: Claims) -> list[Stream]:
+        """Return the stream before and after its middle, each measured by itself."""
+        middle = float(self.samples.t[len(self.samples) // 2])
+        k = int(np.searchsorted(self.samples.t, middle))
+        end = self.bins.t + self.bins.duration / 2
+        start = self.bins.t - self.bins.duration / 2
+        parts = ((self.samples[:k], end <= middle), (self.samples[k:], start >= middle))
+        return [Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), claims) for x, rows in parts]
+
+    def measured(self) -> dict[str, Measured]:
+        """Return what its noise at rest measures, on the scales of the populations of sound phones."""
+        return of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
+
+
+def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:
+    """Return what stamps, values and spectra at rest show."""
+    found = timing_findings(streams[0].samples, claims, sound)
+    levels = {s.sensor: s.levels for s in streams if s.levels is not None}
+    factor = noise.convention(levels, claims)
+    for stream in streams:
+        if len(stream.samples) >= LEAST_SAMPLES:
+            found += _of_stream(stream, claims, factor, sound)
+    return _without_echoes(found)
+
+
+def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding]:
+    """Return what one sensor's samples show; factor: between the claims' densities and one-sided ones."""
+    sensor, samples = stream.sensor, stream.samples
+    lsb, declared = (
+        (claims.accel_lsb, claims.accel_range) if sensor == "accel" else (claims.gyro_lsb, claims.gyro_range)
+    )
+    held, share = repeats.held(samples, sensor, usual(sound, "held_samples", claims.nominal_rate_hz))
+    comb = (
+        quantisation(samples, sensor, stream.steps, lsb, sound["step_over_noise"])
+        if len(stream.still.pieces) >= 3
+        else None
+    )
+    cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
+    found = [held, comb, cut_off, step_change(samples, sensor)]
+    if not stream.steps.hides_noise():
+        found += tones(samples, sensor)
+        if share < repeats.MANY:
+            found += _at_rest(stream, claims, factor, sound)
+    known = without_parts([f for f in found if f is not None])
+    known = missing_codes.beside(known, missing_codes.dead_bits(samples, sensor))
+    return dead_zone.beside(known, dead_zone.dead_zone(samples, sensor))
+
+
+def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding | None]:
+    """Return what the noise at rest shows."""
+    if stream.spectra is None or stream.levels is None:
+        return []
+    samples, sensor = stream.samples, stream.sensor
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
+    fine = not stream.steps.blurs_level()
+    at_rest = (stream.spectra, stream.levels, sensor, stream.bins)
+    other = (changing(*at_rest) or by_force(*at_rest)) if fine else None
+    wide = (
+        tails(stream.still, sensor, sound["excess_kurtosis"], where, stream.steps.largest)
+        if stream.steps.dithered()
+        else None
+    )
+    claim = noise.claimed(sensor, claims)
+    claim = None if claim is None else factor * claim
+    moving = None
+    if wide is None and other is None and fine and stream.levels.own:
+        moving = gathered_noise_finding(
+            gathered_noise(stream.spectra), sensor, sound["noise_gathered"], where
+        )
+    found: list[Finding | None] = [other, wide, moving]
+    if noise.suppressed(stream.levels, claim):
+        found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
+    if wide is None and other is None and moving is None and fine:
+        own, alike = stream.levels, shared_noise(stream.still) if stream.levels.own else None
+        if alike is not None:
+            shared = shared_noise_finding(alike, sensor, usual(sound, "noise_shared", claim), where)
+            found.append(shared)
+            own = own if shared is None else own.less(alike.coefficient.value)
+        found += noise.noise_findings(sensor, own, claim, sound, where)
+    if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
+        return found
+    parts = [half.measured() for half in stream.halves(claims)]
+    return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]
+
+
+def _without_echoes(found: list[Finding]) -> list[Finding]:
+    """Leave out a gyroscope's line at the frequency of one of the accelerometer's.
+
+    A vibration of the phone that both sensors feel is the force's.
+    """
+    tones = [f for f in found if f.effect == "vibration_tone"]
+    felt = [_middle_hz(f) for f in tones if f.sensor == "accel"]
+    echoes = [f for f in tones if f.sensor == "gyro" and any(abs(_middle_hz(f) - x) < SAME_HZ for x in felt)]
+    return [f for f in found if not any(f is echo for echo in echoes)]
+
+
+def _middle_hz(found: Finding) -> float:
+    return float(np.mean(found.where.band_hz))
