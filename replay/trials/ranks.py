@@ -5,9 +5,9 @@
 Days of sound phones are drawn as for the blind test (`stillcal.replay.blind_test`), so their noise is not
 the estimator's. Into each day's residuals every slow effect is put in turn, with sizes from the prior of the
 Bayes factor, and a time constant or a moment from the effect's own grid. The effect is then fitted as in a
-diagnosis that has named it. If the stated posterior is right, the probability that it gives to values below
-the true one is uniform between 0 and 1 (Talts et al. 2018, arXiv 1804.06788). Chi-squared over ten equal
-classes tells.
+diagnosis that has named it, and counts if it is significant there. If the stated posterior is right, the
+probability that it gives to values below the true one is uniform between 0 and 1 (Talts et al. 2018, arXiv
+1804.06788). Chi-squared over ten equal classes tells.
 """
 
 from __future__ import annotations
@@ -24,9 +24,10 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import own_effects
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import highest
-from stillcal.calib_core.diagnosis.model.effect import Effect
+from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
+from stillcal.calib_core.diagnosis.slow.findings import CHANCE
 from stillcal.calib_core.diagnosis.slow.screen import screened
 from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_scene
 from stillcal.replay.blind_test.cases import make_case
@@ -66,8 +67,18 @@ def drawn(scene: Scene, effect: Effect, rng: np.random.Generator) -> tuple[Hypot
     coarse = points[int(rng.integers(len(points)))]
     finer = effect.finer(scene.moments, coarse)
     grid = finer[int(rng.integers(len(finer)))] if len(finer) else coarse
-    true = scene.hypothesis(effect, grid)
+    true = in_every_view(scene, effect, grid)
     return true, true.sizes * rng.choice(SIZES) * rng.standard_normal(true.sizes.size)
+
+
+def in_every_view(scene: Scene, effect: Effect, grid: Grid) -> Hypothesis:
+    """Return what an effect does to all views, also to those that are blind to it while it is searched for.
+
+    The estimate uses these too, so what is put into one of them must be in all.
+    """
+    if scene.turns:
+        return scene.hypothesis(effect, grid)
+    return Hypothesis(effect, grid, scene.columns_of(effect.response(scene.moments, grid)))
 
 
 def with_effect(scene: Scene, true: Hypothesis, value: Array) -> Scene:
@@ -88,13 +99,18 @@ def fitted(scene: Scene, effect: Effect) -> Estimate:
 
 
 def ranks(scene: Scene, effect: Effect, rng: np.random.Generator) -> Array | None:
-    """Return the posterior probability (k,) of values below the true ones; None where it cannot show."""
+    """Return the posterior probability (k,) of values below the true ones; None where it does not show.
+
+    What is not significant is not stated: the fit puts a jump that is too small at any jump of the noise.
+    """
     from scipy.special import ndtr  # noqa: PLC0415 - as in the diagnosis
 
     made = drawn(scene, effect, rng)
     if made is None:
         return None
     found = fitted(with_effect(scene, *made), effect)
+    if found.chance() >= CHANCE:
+        return None
     return np.asarray(ndtr((made[1] - found.value) / np.maximum(found.sigma, 1e-300)))
 
 
