@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.noise.gathered_noise import (
     without_parts,
 )
 from stillcal.calib_core.diagnosis.noise.heavy_tails import tails
+from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
@@ -155,7 +156,7 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
 
     A vibration of the phone that both sensors feel is the force's.
     """
-    tones = [f for f in found if f.effect == "vibration_tone"]
+    tones = [f for f in found if is_line(f)]
     felt = [_middle_hz(f) for f in tones if f.sensor == "accel"]
     echoes = [f for f in tones if f.sensor == "gyro" and any(abs(_middle_hz(f) - x) < SAME_HZ for x in felt)]
     return [f for f in found if not any(f is echo for echo in echoes)]

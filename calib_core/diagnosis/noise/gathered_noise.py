@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line
 from stillcal.calib_core.diagnosis.noise.low_pass import Spectra
 from stillcal.calib_core.diagnosis.noise.noise_level import level_part
 
@@ -71,7 +72,7 @@ def gathered_noise_finding(found: Gathered, sensor: str, sound: Usual, where: Wh
 
 
 def without_parts(found: Sequence[Finding]) -> list[Finding]:
-    """Leave out steady lines beside lines that change from rest to rest: those that come back are of them."""
+    """Leave out other lines beside lines that change from rest to rest: those that come back are of them."""
     if not any(f.where.driver == DRIVER for f in found):
         return list(found)
-    return [f for f in found if f.effect != "vibration_tone"]
+    return [f for f in found if not is_line(f)]

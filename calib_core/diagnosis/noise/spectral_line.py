@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.noise.intermittent_line import named_if_steady
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
     INDEPENDENT,
     NEIGHBOURS,
@@ -110,7 +111,8 @@ def _hertz(found: Finding) -> float:
 def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> list[Finding]:
     """Return the lines of some stretches, one after the other, each without those before; not `known` ones.
 
-    Where the strongest that stands out is none, as it is brief, broad or of a body, it is passed over.
+    Where the strongest that stands out is none, as it is brief, broad or of a body, it is passed over. One
+    that comes and goes has no name.
     """
     if seen is None:
         return []
@@ -134,7 +136,8 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         else:
             found.append(line)
             left = left.without(_hertz(line), apart)
-    return found
+    every = [*known, *found]
+    return [named_if_steady(one, seen, [_hertz(f) for f in every if f is not one]) for one in found]
 
 
 def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:

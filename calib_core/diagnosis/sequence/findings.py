@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
@@ -18,8 +19,8 @@ from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
 from stillcal.calib_core.streams.samples import Samples
 
-SPOILED = ("noise_heavy_tailed", "noise_level", "noise_unequal_axes", "vibration_tone")
-"""Names that samples in a wrong place or with a wrong code may look like."""
+SPOILED = ("noise_heavy_tailed", "noise_level", "noise_unequal_axes")
+"""Names that samples in a wrong place or with a wrong code may look like; so may a line in the spectrum."""
 
 NAMED_CODES = "missing_codes"
 """The name of what an axis leaves out or keeps by its own code."""
@@ -61,4 +62,5 @@ def beside_names(nameless: Sequence[Finding], named: Sequence[Finding]) -> list[
     coded = {f.sensor for f in named if f.effect == NAMED_CODES}
     own = [f for f in nameless if f.where.driver not in (OWN_CODE, STALE) or f.sensor not in coded]
     sensors = {f.sensor for f in own}
-    return [*own, *(f for f in named if f.sensor not in sensors or f.effect not in SPOILED)]
+    spoiled = [f for f in named if f.sensor in sensors and (f.effect in SPOILED or is_line(f))]
+    return [*own, *(f for f in named if not any(f is other for other in spoiled))]

@@ -9,6 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -59,6 +60,41 @@ def test_one_line_is_one(amplitude: float) -> None:
     """What is left of it, its leakage, and what breathes with it are no further lines."""
     breathing = humming({17.3: amplitude}) * (1.0 + 0.2 * np.sin(2.0 * np.pi * T / 97.0))
     assert heard(breathing) == [17.3]
+
+
+def on_and_off(on: float, off: float) -> Array:
+    """Return 1 for `on` s and 0 for `off` s, again and again."""
+    return np.asarray((T % (on + off) < on).astype(np.float64))
+
+
+@pytest.mark.parametrize(
+    ("on", "off", "amplitude"), [(60.0, 40.0, 0.03), (60.0, 40.0, 0.004), (10.0, 10.0, 0.01)]
+)
+def test_a_vibration_that_comes_and_goes_has_no_name(on: float, off: float, amplitude: float) -> None:
+    """Stated are its frequency, the amplitude while it is there, and how much of the time that is."""
+    found = tones(lying(humming({30.0: amplitude}) * on_and_off(on, off)), "accel")
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", DRIVER)]
+    (frequency, size, fraction) = (found[0].parameters[n] for n in ("frequency", "amplitude", "fraction"))
+    assert frequency.value == pytest.approx(30.0, abs=0.01)
+    assert size.value[2] == pytest.approx(amplitude, rel=0.1)  # type: ignore[index]
+    assert fraction.value == pytest.approx(on / (on + off), abs=0.05)
+
+
+@pytest.mark.parametrize("amplitude", [0.0015, 0.002, 0.004, 0.03])
+@pytest.mark.parametrize("span", [(0.0, 600.0), (100.0, 450.0)])
+def test_a_steady_vibration_and_one_for_a_while_keep_their_name(
+    amplitude: float, span: tuple[float, float]
+) -> None:
+    there = ((span[0] <= T) & (span[1] > T)) * (1.0 + 0.2 * np.sin(2.0 * np.pi * T / 97.0))
+    for seed in range(3):
+        found = tones(lying(humming({30.0: amplitude}) * there, seed), "accel")
+        assert all(f.effect == "vibration_tone" for f in found)
+        assert found or amplitude < 0.004, "a faint one may be missed"
+
+
+def test_a_single_pause_of_a_long_vibration_is_told() -> None:
+    pause = (T < 250.0) | (T > 330.0)
+    assert [f.effect for f in tones(lying(humming({30.0: 0.01}) * pause), "accel")] == ["unknown"]
 
 
 def test_the_three_surest_are_stated() -> None:

@@ -1,0 +1,270 @@
+"""Whether a line is there all along, or comes and goes: the course of its power against a steady line's.
+
+The amplitude of the line is read in short pieces, in units of the noise about it. A steady line is in every
+piece, or in every one of its span and in none outside it. One that comes and goes is in each piece with some probability.
+Everything else is the same in both models, and is integrated out: the line's level, how much it scatters by
+itself, the level of the noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.left_out import blocks
+from stillcal.calib_core.diagnosis.model.measurement import (
+    HeldOut,
+    Index,
+    Seen,
+    sized,
+    vector,
+)
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.noise.steady_segments import OWN, Stretches
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.maths.rms import rms
+
+DRIVER = "a vibration that comes and goes"
+
+SPLITS = (1, 2, 4, 8)
+"""Pieces of the middle half of a stretch: of 20 s, pieces of 10 to 1.25 s."""
+
+MOST_ROWS = 200
+"""Stretches that are looked at, of all and of those in the line's span, evenly spread, for time."""
+
+SCATTERS = (0.05, 0.15, 0.3)
+"""Relative standard deviation of a steady line's amplitude: fans and mains breathe."""
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(7)
+SCATTERED = (_NODES, _WEIGHTS / _WEIGHTS.sum())
+"""Points and weights that stand for a normal distribution of mean 0 and variance 1 (Gauss and Hermite)."""
+
+FLOORS = (0.5, 0.7, 1.0, 1.4)
+"""Amplitude of the noise, in units of that of the line's neighbours, which may hold some of the line."""
+
+LEVELS, PARTS = 20, 9
+"""Grid points of the line's level, and of the part of the time in which it is there."""
+
+STRAY = 0.02
+"""Part of the pieces in which anything may happen."""
+STRAY_RANGE = float(np.log(1e6))
+"""Its amplitudes: any of six decades."""
+
+AXES = 3
+BESIDE = 60
+"""Frequencies on either side whose median power is the noise: of so many it is known to a tenth."""
+
+LEAST_THERE = 0.9
+SILENT = 1e-9
+"""Part of a spectrum's largest power that counts as noise at least: simulations may have none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """A line in n pieces. t: (n,) s, their middles; amplitude: (n,) over the noise of all three axes.
+
+    power: (n, 3) squared amplitude of the sine on each axis, without the noise's.
+    """
+
+    t: Array
+    amplitude: Array
+    power: Array
+
+
+def is_line(found: Finding) -> bool:
+    """Whether a finding is of a line in the spectrum, steady or not."""
+    return found.effect == "vibration_tone" or found.where.driver == DRIVER
+
+
+def named_if_steady(line: Finding, seen: Stretches, others: Sequence[float]) -> Finding:
+    """Take the name off a line that comes and goes: a steady sine in its place would be no correction.
+
+    seen: the stretches that it was found in; others: Hz, the lines besides it.
+    """
+    frequency = float(np.asarray(line.parameters["frequency"].value))
+    alone = seen
+    for other in others:
+        alone = alone.without(other, abs(other - frequency) / 2.0)
+    within = (seen.span[:, 0] >= line.where.t_start) & (seen.span[:, 1] <= line.where.t_end)
+    rows = np.union1d(_spread(np.arange(len(seen.length))), _spread(np.flatnonzero(within)))
+    told = [
+        _told(of_line, line.where, float(np.median(seen.span[:, 1] - seen.span[:, 0])))
+        for of_line in (_pieces(alone, rows, frequency, parts) for parts in SPLITS)
+        if of_line.t.size
+    ]
+    if not told:
+        return line
+    best = max(told, key=lambda one: one.seen.log_bayes_factor)
+    # The mean of Bayes factors: the data of one length of the pieces hold those of a longer one.
+    nats = float(np.logaddexp.reduce([one.seen.log_bayes_factor for one in told]) - np.log(len(told)))
+    if not replace(best.seen, log_bayes_factor=nats).stated:
+        return line
+    return _unsteady(line, best)
+
+
+def _spread(rows: Index) -> Index:
+    """Return at most `MOST_ROWS` of the rows, evenly spread."""
+    few = np.linspace(0, max(rows.size - 1, 0), min(rows.size, MOST_ROWS)).round().astype(np.int64)
+    return np.asarray(rows[few])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Told:
+    """What one length of pieces tells.
+
+    seen: the evidence that the line comes and goes; share: part of the pieces in which it is there; span: s,
+    the first and the last of these; amplitude, error: (3,) of the sine there.
+    """
+
+    seen: Seen
+    share: float
+    span: tuple[float, float]
+    amplitude: Array
+    error: Array
+
+
+def _pieces(seen: Stretches, rows: Index, frequency: float, parts: int) -> Pieces:
+    """Cut the middle half of every stretch into parts and read the line's amplitude there.
+
+    The halves lie end to end, as stretches overlap by half. The noise is the median of the neighbours of the
+    line in its own stretch.
+    """
+    at, read, own = [], [], []
+    centre = round(frequency / float(seen.f[1]))
+    away = np.arange(OWN // 2 + 1, BESIDE)
+    least = SILENT * float(seen.power[rows].max())
+    for row in rows:
+        n = int(seen.length[row])
+        first, size = n // 4, (n // 2) // parts
+        part = slice(first, first + parts * size)
+        taper = seen.taper[row, part]
+        there = taper > 0.0
+        value = seen.tapered[row, part] / np.where(there, taper, 1.0)[:, None]
+        window = np.sin(np.pi * (np.arange(size) + 0.5) / size) * there.reshape(parts, size)
+        turned = value * np.exp(-2j * np.pi * frequency * seen.t[row, part])[:, None]
+        read_there = (window[:, :, None] * turned.reshape(parts, size, AXES)).sum(axis=1)
+        steps = np.round(seen.wider[row] * away).astype(np.int64)
+        near = np.clip(np.concatenate([centre - steps, centre + steps]), 0, seen.f.size - 1)
+        noise = np.median(seen.power[row, near], axis=0) / np.log(2.0) / (seen.taper[row] ** 2).sum()
+        noise = np.maximum(noise, least / (seen.taper[row] ** 2).sum())
+        weight = (window**2).sum(axis=1)
+        power = (np.abs(read_there) ** 2 / noise).sum(axis=1) / np.maximum(weight, 1e-9)
+        whole = weight >= LEAST_THERE * size / 2.0
+        middle = seen.t[row, part].reshape(parts, size).mean(axis=1) + seen.span[row].mean()
+        at.append(middle[whole])
+        read.append(np.sqrt(power[whole]))
+        sine = np.abs(read_there) ** 2 - noise * weight[:, None]
+        own.append((4.0 * sine / np.maximum(window.sum(axis=1), 1e-9)[:, None] ** 2)[whole])
+    return Pieces(np.concatenate(at), np.concatenate(read), np.concatenate(own))
+
+
+def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
+    """Compare both models. edge: s about the ends of the line's span of which it is not known if it is there."""
+    span = (where.t_start, where.t_end)
+    near = np.minimum(np.abs(pieces.t - span[0]), np.abs(pieces.t - span[1])) < edge
+    inside = (pieces.t > span[0]) & (pieces.t < span[1])
+    known = inside | ~near
+    t, s, inside = pieces.t[known], pieces.amplitude[known], inside[known]
+    grid = _densities(s, inside)
+    steady, changing, here = grid.steady, grid.changing, grid.here
+    fold = blocks(s.size)
+    gain = float(
+        sum(_predicted(changing, fold == k) - _predicted(steady, fold == k) for k in np.unique(fold))
+    )
+    nats = _evidence(changing) - _evidence(steady)
+    weight = np.exp(changing.sum(axis=1) - changing.sum(axis=1).max())
+    weight /= weight.sum()
+    chance = weight @ here
+    there = chance > 0.5
+    level = float(weight @ grid.level)
+    held_out = HeldOut(gain, rms(s - np.where(inside, level, 0.0)), rms(s - np.where(there, level, 0.0)))
+    ends = (float(t[there].min()), float(t[there].max())) if there.any() else span
+    power = pieces.power[known][there] if there.any() else pieces.power
+    amplitude = np.sqrt(np.maximum(power.mean(axis=0), 0.0))
+    spread = power.std(axis=0) / np.sqrt(len(power))
+    error = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread))
+    return _Told(Seen(nats, held_out), float(chance.mean()), ends, amplitude, error)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Densities:
+    """Log densities of every piece, (G, n) of each model's own G grid points.
+
+    here: (G, n) the probability that the line is there if it comes and goes; level: (G,) of that grid.
+    """
+
+    steady: Array
+    changing: Array
+    here: Array
+    level: Array
+
+
+def _densities(s: Array, inside: NDArray[np.bool_]) -> _Densities:
+    """Return the densities of amplitudes s (n,) over noise."""
+    top = float(np.quantile(s, 0.95))
+    levels = np.geomspace(max(0.3 * float(np.quantile(s, 0.5)), 0.05 * top), 1.5 * top, LEVELS)
+    stray = STRAY / (np.maximum(s, 1e-12) * STRAY_RANGE)
+    shares = (np.arange(PARTS) + 0.5) / PARTS
+    steady, changing, here, of = [], [], [], []
+    for level, scatter, floor in product(levels, SCATTERS, FLOORS):
+        there, gone = (1.0 - STRAY) * _there(s, level, scatter, floor), (1.0 - STRAY) * _gone(s, floor)
+        steady += [np.log(there + stray), np.log(np.where(inside, there, gone) + stray)]
+        for share in shares:
+            both = share * there + (1.0 - share) * gone + stray
+            changing.append(np.log(both))
+            here.append(share * there / both)
+            of.append(level)
+    return _Densities(np.array(steady), np.array(changing), np.array(here), np.array(of))
+
+
+def _there(s: Array, level: float, scatter: float, floor: float) -> Array:
+    """Return the density of the amplitude s (n,) where the line is there, its own level scattered.
+
+    The power of three axes, line and noise, is a noncentral chi-squared with six degrees of freedom.
+    """
+    from scipy.special import ive  # noqa: PLC0415 - the daemon stays light
+
+    unit, density = s / floor, np.zeros(s.size)
+    for node, weight in zip(*SCATTERED, strict=True):
+        line = level / floor * max(1.0 + scatter * node, 0.05)
+        near = np.exp(-((unit - line) ** 2)) * ive(2, 2.0 * unit * line)
+        density += weight * 2.0 * unit * (unit / line) ** 2 * near / floor
+    return density
+
+
+def _gone(s: Array, floor: float) -> Array:
+    """Return the density of the amplitude of noise alone: its square is a sum of three exponentials."""
+    unit = s / floor
+    return np.asarray(unit**5 * np.exp(-(unit**2)) / floor)
+
+
+def _evidence(densities: Array) -> float:
+    """Return the log evidence of a model whose grid points (G, n) are alike beforehand."""
+    return float(np.logaddexp.reduce(densities.sum(axis=1)) - np.log(len(densities)))
+
+
+def _predicted(densities: Array, left_out: NDArray[np.bool_]) -> float:
+    """Return the log probability of the pieces that are left out, as the others tell it."""
+    return _evidence(densities) - _evidence(densities[:, ~left_out])
+
+
+def _unsteady(line: Finding, told: _Told) -> Finding:
+    """State a line that comes and goes: with the amplitude that it has while it is there."""
+    parameters = {
+        "frequency": line.parameters["frequency"],
+        "amplitude": vector(told.amplitude, told.error, line.parameters["amplitude"].unit),
+        **sized({"fraction": (told.share, "1")}),
+    }
+    frequency = float(np.asarray(line.parameters["frequency"].value))
+    say = (
+        f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there in"
+        f" {100.0 * told.share:.0f} % of the time at rest, with an amplitude of {told.amplitude.max():.3g}"
+        f" {UNIT[line.sensor]}."
+    )
+    where = Where(*told.span, line.where.band_hz, DRIVER)
+    return replace(line, effect="unknown", where=where, parameters=parameters, statement=say)
