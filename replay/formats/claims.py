@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -12,11 +13,14 @@ import msgspec
 from stillcal.calib_core.gravity import STANDARD, LocationError, given
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.daemon.system.files import NotRegularError, read_regular
+from stillcal.daemon.system.files import NotRegularError, TooLargeError, read_regular
 from stillcal.replay.formats.errors import TraceError
 
 MOST_BYTES = 1 << 30
 """Longest file beside a recording that is read."""
+
+MOST_BYTES_OF_CLAIMS = 1 << 20
+"""A longer one holds no claims."""
 
 PerAxis: TypeAlias = float | tuple[float, float, float]
 
@@ -64,6 +68,11 @@ class _Written(msgspec.Struct):
 
 
 Event: TypeAlias = Charging | Location
+NO_JSON = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+"""What decoding raises on what is no JSON of the kind that is asked for, or is too deep."""
+
+_LONGEST_LIST = 16
+_json = json.JSONDecoder()
 _KNOWN: dict[str, type[Charging] | type[Location]] = {"charging": Charging, "location": Location}
 
 
@@ -76,16 +85,46 @@ def beside(path: Path, suffix: str) -> Path:
 def read_claims(path: Path) -> Claims:
     """Read NAME.json beside the recording `path`; no claims where there is none. Raises TraceError.
 
-    A calibration that was written there under that name claims nothing of the device.
+    Other JSON of that name claims nothing of the device: a calibration, or a recording.
     """
     file = beside(path, ".json")
-    text = _bytes_of(file)
-    if text is None or written_by_stillcal(file):
+    text = None if file.name == path.name.removesuffix(".gz") else claims_text(file)
+    if text is None:
         return Claims()
     try:
         return msgspec.json.decode(text, type=Claims)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except NO_JSON as error:
         raise TraceError(file, f"not the maker's claims: {error}", "correct the field it names") from None
+
+
+def claims_text(file: Path) -> bytes | None:
+    """Return what a file of the maker's claims holds: one object with a field of them, or damaged JSON.
+
+    None where there is no file, and where it holds other JSON or more than claims do. Raises TraceError.
+    """
+    try:
+        text = _bytes_of(file, MOST_BYTES_OF_CLAIMS)
+    except TooLargeError:
+        return None
+    try:
+        first, _ = _json.raw_decode((text or b"[]").decode().lstrip())
+    except (ValueError, RecursionError):
+        return text
+    return text if _may_be_claims(first) else None
+
+
+def _may_be_claims(value: Any) -> bool:
+    """Whether a value is an object with a field of claims, or none, without samples and a schema's number."""
+    if not isinstance(value, dict) or "schema" in value or _holds_samples(value):
+        return False
+    return not value or not value.keys().isdisjoint(Claims.__struct_fields__)
+
+
+def _holds_samples(value: Any) -> bool:
+    """Whether a value holds a list longer than any of claims."""
+    if isinstance(value, dict):
+        return any(map(_holds_samples, value.values()))
+    return isinstance(value, list) and len(value) > _LONGEST_LIST
 
 
 def claimed_gravity(claims: Claims, events: Iterable[Event], path: Path) -> float | None:
@@ -107,8 +146,8 @@ def claimed_gravity(claims: Claims, events: Iterable[Event], path: Path) -> floa
 def written_by_stillcal(path: Path) -> bool:
     """Whether a file is JSON with the number of a schema, as stores, calibrations and diagnoses have."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=_Written).schema is not None
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError):
+        return msgspec.json.decode(read_regular(path, MOST_BYTES), type=_Written).schema is not None
+    except (OSError, *NO_JSON):
         return False
 
 
@@ -118,7 +157,10 @@ def read_events(path: Path) -> list[Event]:
     Raises TraceError naming the line that is not an event.
     """
     file = beside(path, ".events.jsonl")
-    text = _bytes_of(file)
+    try:
+        text = _bytes_of(file)
+    except TooLargeError:
+        raise TraceError(file, "is too long for events", "delete it or name it otherwise") from None
     if text is None:
         return []
     events = [_event(file, number, line) for number, line in enumerate(text.split(b"\n"), 1) if line.strip()]
@@ -136,18 +178,21 @@ def _event(file: Path, number: int, line: bytes) -> Event | None:
         fields = msgspec.json.decode(line, type=dict[str, Any])
         kind = _KNOWN.get(fields.pop("event", None))
         event = None if kind is None else msgspec.convert(fields, kind)
-    except (msgspec.DecodeError, UnicodeDecodeError, TypeError) as error:
+    except (*NO_JSON, TypeError) as error:
         raise TraceError(file, f"not an event: {error}", "correct or delete that line", number) from None
     if event is not None and not math.isfinite(event.t):
         raise TraceError(file, "the event's t is not finite", "correct or delete that line", number)
     return event
 
 
-def _bytes_of(file: Path) -> bytes | None:
+def _bytes_of(file: Path, limit: int = MOST_BYTES) -> bytes | None:
+    """Return what a file holds, None where there is none. Raises TooLargeError, and TraceError."""
     try:
-        return read_regular(file, MOST_BYTES)
+        return read_regular(file, limit)
     except FileNotFoundError:
         return None
+    except TooLargeError:
+        raise
     except NotRegularError:
         raise TraceError(file, "is no regular file", "replace or remove it") from None
     except OSError as error:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import io
+import json
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -69,6 +70,30 @@ def _blank_separated(values: np.ndarray) -> str:
 def _imucal() -> str:
     names = ",".join(["n_samples", *(f"acc_{a}" for a in _AXES), *(f"gyr_{a}" for a in _AXES)])
     return text(names, np.column_stack([np.arange(len(DATA)), FORCE, np.rad2deg(RATE)]))
+
+
+def _rows_of_sensors() -> str:
+    """Return a table with a row for each sensor, those of a light sensor shorter."""
+    cells = zip(("acc", "gyr"), (FORCE, RATE), strict=True)
+    by_sensor = [
+        [f"{name},{t},{x},{y},{z}" for t, (x, y, z) in zip(T[:, 0], xyz, strict=True)] for name, xyz in cells
+    ]
+    rows_of = (row for pair in zip(*by_sensor, strict=True) for row in (*pair, "light,0,40"))
+    return "\n".join(["sensor,t,x,y,z", *rows_of])
+
+
+_NAMES = ("t", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+
+
+def _json() -> list[bytes]:
+    """Return records a line each, as an array, and the same by column."""
+    records = [dict(zip(_NAMES, row, strict=True)) for row in DATA.tolist()]
+    nested = [
+        {"t": row[0], "acc": row[1:4], "gyr": dict(zip("xyz", row[4:], strict=True))} for row in DATA.tolist()
+    ]
+    columns = dict(zip(_NAMES, DATA.T.tolist(), strict=True))
+    lines = "\n".join(map(json.dumps, nested))
+    return [text.encode() for text in (lines, json.dumps(records, indent=1), json.dumps(columns))]
 
 
 TEXTS: dict[str, Callable[[], str]] = {
@@ -239,8 +264,10 @@ TARGETS = {
         ]
     ),
     "recognised": Target(
-        lambda: [make().encode() for make in TEXTS.values()], functools.partial(_feed, "log", None)
+        lambda: [make().encode() for make in (*TEXTS.values(), _rows_of_sensors)],
+        functools.partial(_feed, "log", None),
     ),
+    "json": Target(_json, functools.partial(_feed, "log.json", None)),
     "gnss-logger": Target(
         lambda: _made(lambda folder: log_files.gnss_logger(folder, DATA)),
         functools.partial(_feed, "log.txt", None),

@@ -1,4 +1,4 @@
-"""Files of named arrays: Parquet, HDF5, MATLAB and NumPy archives.
+"""Files of named arrays: Parquet, HDF5, MATLAB, NumPy archives and JSON objects.
 
 What an array is follows from its name and from the first samples (recognition/settle.py); a column map given
 as --format overrides that. The axes of an array `acc` of three columns are called `acc[0]`, `acc[1]` and
@@ -21,6 +21,7 @@ from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
+from stillcal.replay.formats.logs.json_log import json_arrays, json_document
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
@@ -36,6 +37,7 @@ from stillcal.replay.formats.recognition.settle import OneSensor, settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow, side_by_side
+from stillcal.replay.formats.tables.table import Table
 
 MOST_ARRAYS = 2000
 """Arrays of a file that are looked at; a recording has a few dozen."""
@@ -77,6 +79,7 @@ def open_arrays(source: Source, kind: str, column_map: ColumnMap | None = None) 
     """Open a file of named arrays. Raises TraceError where no accelerometer is found in it."""
     stored = unpacked_copy(source)
     readers = {magic.PARQUET: _parquet, magic.HDF5: _hdf5, magic.MATLAB: _matlab, magic.ZIP: _numpy}
+    readers[magic.JSON] = _json
     try:
         groups, extra = readers[kind](stored)
     except TraceError:
@@ -99,10 +102,10 @@ def _sensors(
     for group, arrays in groups.items():
         table = tables[group]
         if column_map is not None:
-            found += _mapped(table, column_map, group)
+            found += mapped(table, column_map, group)
             continue
         if is_own(table.names or []):
-            found += _mapped(table, load_map("csv"), group)
+            found += mapped(table, load_map("csv"), group)
             continue
         said = _uneven(source.path, arrays)
         for sensor in settled(table, load_map("csv"), arrays.rate_hz, _rates_of(group, groups, tables)):
@@ -171,7 +174,7 @@ def _uneven(path: Path, arrays: _Arrays) -> list[str]:
     return [f"{path.name}: {what}: the first {arrays.length} rows are read{left}"]
 
 
-def _mapped(table: NumberTable, column_map: ColumnMap, group: str) -> list[LoggedSensor]:
+def mapped(table: Table, column_map: ColumnMap, group: str = "") -> list[LoggedSensor]:
     """Return the sensor that a column map finds in a group; of several groups those that have it."""
     sensors = [Sensor.ACCELEROMETER] + ([Sensor.GYROSCOPE] if column_map.gyroscope else [])
     SampleFile(table, column_map, sensors, Claims())  # raises where a column is missing
@@ -283,6 +286,12 @@ def _matlab(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     scalars = {k: float(v) for items in groups.values() for k, v in items.items() if v.ndim == 0}
     arrays = {group: {k: v for k, v in items.items() if v.ndim > 0} for group, items in groups.items()}
     return {group: _gathered(items, scalars) for group, items in _with_clocks(arrays).items()}, []
+
+
+def _json(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
+    """Return the arrays of one JSON object, those of the objects in it by their paths."""
+    by_group, scalars = json_arrays(json_document(stored))
+    return {group: _gathered(items, scalars) for group, items in _with_clocks(by_group).items()}, []
 
 
 def _numpy(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:

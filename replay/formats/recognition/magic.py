@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.plain import UTF16
@@ -9,6 +11,7 @@ from stillcal.replay.formats.tables.plain import UTF16
 ULOG, DATAFLASH, AXIVITY = "PX4 ULog", "ArduPilot DataFlash", "Axivity CWA"
 ROS1, ROS2, MCAP = "ROS 1 bag", "ROS 2 bag", "MCAP"
 PARQUET, HDF5, MATLAB, NPY, ZIP = "Parquet", "HDF5", "MATLAB", "NumPy", "zip"
+JSON = "JSON"
 TEXT = "text"
 
 _STARTS = {
@@ -42,11 +45,12 @@ _FOREIGN = {
     b"\x7fELF": "a program",
     b"#ROSBAG": "a ROS bag older than version 2.0",
     b"H Product:Blackbox": _BLACKBOX,
-    b"{": "JSON",
-    b"[": "JSON",
     b"<": "HTML or XML",
 }
 """What people give by mistake, or what is not read yet, with the name to call it by."""
+
+_JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{\]])")
+"""How JSON begins that can hold records. A line in brackets begins the preamble of a text table too."""
 
 _PACKED = ("archive", "bzip2", "xz file", "zstd", "compressed")
 _REMEDIES = {
@@ -66,6 +70,8 @@ def kind_of(source: Source) -> str:
             usual = "unpack it and give what is in it" if packed else "export the recording as CSV"
             remedy = _REMEDIES.get(name, usual)
             raise TraceError(source.path, f"is {name}, not a recording that can be read", remedy)
+    if _JSON.match(head):
+        return JSON
     if b"\0" in head and not head.startswith(UTF16):
         what = "is not a text file, and no binary format that is known"
         remedy = "give one of the formats in docs/formats.md, or text in UTF-8"

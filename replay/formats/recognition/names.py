@@ -189,6 +189,10 @@ _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9°µ²^']+")
 _AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
+_LONG_WORD = re.compile(
+    rf"({'|'.join(sorted((w for w in _ACCELERATION | _RATE if len(w) > 8), key=len, reverse=True))})",
+    re.IGNORECASE,
+)
 _TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
 
 
@@ -295,6 +299,11 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
             found.append((label not in words and label != "", name, unit))
     found.sort(key=lambda f: f[0])
     return (found[0][1], found[0][2]) if found and (not found[0][0] or len(found) == 1) else None
+
+
+def spaced(text: str) -> str:
+    """Return a text with blanks around the sensors' long words in it: totalacceleration, AccelerometerRaw."""
+    return _LONG_WORD.sub(r" \1 ", text).strip()
 
 
 def qualified(names: Sequence[str], container: str) -> list[str]:

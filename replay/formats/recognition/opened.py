@@ -10,19 +10,20 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.logs.arrays import open_arrays
+from stillcal.replay.formats.logs.arrays import mapped, open_arrays
 from stillcal.replay.formats.logs.axivity import open_axivity
 from stillcal.replay.formats.logs.betaflight import open_betaflight
 from stillcal.replay.formats.logs.dataflash import open_dataflash
 from stillcal.replay.formats.logs.gnss_logger import open_gnss_logger
+from stillcal.replay.formats.logs.json_log import json_tables
 from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
-from stillcal.replay.formats.recognition.names import OWN, qualified, rates_alone
+from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, rates_alone
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import sensors_of_rows
-from stillcal.replay.formats.recognition.settle import OneSensor, settled
+from stillcal.replay.formats.recognition.settle import COUNTED_WIDTHS, OneSensor, settled, settled_apart
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
     GNSS_LOGGER,
@@ -36,6 +37,7 @@ from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.layout import missing
+from stillcal.replay.formats.tables.table import Table
 from stillcal.replay.formats.tables.text import NoRowsError, TextTable, has_rows
 
 AUTO = "auto"
@@ -100,8 +102,8 @@ def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
 
 def _log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
     kind = magic.kind_of(source)
-    if kind == magic.TEXT:
-        return _text_log(source, column_map, gyro)
+    if kind in _TABLES:
+        return _TABLES[kind](source, column_map, gyro)
     if kind == magic.ZIP:
         members = members_of_zip(source)
         if members and all(name.endswith(".npy") for name in members):
@@ -130,8 +132,8 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
     if len(found) == 1:
         ((name, log),) = found.items()
         used = {name}
-        if len(alone) == 1 and column_map is None and magic.kind_of(members[name]) == magic.TEXT:
-            log = _text_log(members[name], None, next(iter(alone.values())))
+        if len(alone) == 1 and column_map is None and magic.kind_of(members[name]) in _TABLES:
+            log = _log(members[name], None, next(iter(alone.values())))
             used |= alone.keys()
         others = [member for member in members if member not in used]
         name = " with ".join([name, *sorted(used - {name})])
@@ -196,23 +198,80 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
 
 def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
     """Return the log of a text table of unknown make. Raises TraceError."""
-    table = _table(source, form)
-    rates, said = _rates_of(source, gyro)
-    sensors = settled(table, form.column_map, form.rate_hz, rates)
-    if sensors:
-        return Log(source.path, "text table", sensors, said, beside=source.local)
-    if rates_alone(table.names or []):
-        raise GyroscopeAloneError(source.path)
+    table = _text_table(source, form)
+    log = _log_by_names(source, OneSensor(table, form.column_map, form.rate_hz), "text table", gyro)
+    if log is not None:
+        return log
     if table.names is not None and not OWN & set(table.names):
         raise missing(table, [])
     return _mapped(source, form, gyro, [])
 
 
-def _table(source: Source, form: TextFormat) -> TextTable:
+def _json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
+    """Return the log of JSON records, or of the arrays in one JSON object. Raises TraceError."""
+    tables = json_tables(source)
+    if not tables:
+        return open_arrays(source, magic.JSON, column_map)
+    base = column_map or load_map("csv")
+    own = [OneSensor(_qualified(opened(), _container(source, name)), base) for name, opened in tables.items()]
+    if len(own) > 1 and column_map is None:
+        return Log(source.path, magic.JSON, settled_apart(own), beside=source.local)
+    table, opened = own[0].table, next(iter(tables.values()))
+    if column_map is not None or is_own(table.names or []):
+        return Log(source.path, magic.JSON, mapped(table, base), beside=source.local)
+    rows = sensors_of_rows(opened, base)
+    log = Log(source.path, magic.JSON, rows, beside=source.local) if rows else None
+    if log is None and (table.names is not None or table.width in COUNTED_WIDTHS):
+        log = _log_by_names(source, own[0], magic.JSON, gyro)
+    if log is None:
+        raise missing(table, [])
+    return log
+
+
+def _container(source: Source, field: str = "") -> str:
+    """Return what holds a table: a field of the file, or the file, called without its endings."""
+    return field.rpartition("/")[2] or source.path.name.split(".")[0]
+
+
+def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None) -> Log | None:
+    """Return the log of a table by its columns' names; None where they name no accelerometer.
+
+    Raises TraceError where it cannot be read, or holds a gyroscope alone.
+    """
+    rates, said = _rates_of(source, gyro)
+    sensors = settled(own.table, own.column_map, own.rate_hz, rates)
+    if sensors:
+        return Log(source.path, kind, sensors, said, beside=source.local)
+    if rates_alone(own.table.names or []):
+        raise GyroscopeAloneError(source.path)
+    return None
+
+
+def _one_sensor(source: Source) -> OneSensor:
+    """Return the table of a file with what its name tells of its columns. Raises TraceError."""
+    if magic.kind_of(source) == magic.JSON:
+        tables = json_tables(source)
+        if len(tables) != 1:
+            raise TraceError(
+                source.path, "holds no one list of JSON records", "write one object for each sample"
+            )
+        ((name, opened),) = tables.items()
+        return OneSensor(_qualified(opened(), _container(source, name)), load_map("csv"))
+    form = text_format(source)
+    return OneSensor(_text_table(source, form), form.column_map, form.rate_hz)
+
+
+def _text_table(source: Source, form: TextFormat) -> Table:
     """Return a text table of unknown make, with what its file's name tells of its columns."""
     table = TextTable(source, form.column_map)
-    names = form.names or table.names
-    table.names = None if names is None else qualified(names, source.path.name.split(".")[0])
+    table.names = form.names or table.names
+    return _qualified(table, _container(source))
+
+
+def _qualified(table: Table, container: str) -> Table:
+    """Return the table with what the name of its container tells of its columns."""
+    if table.names is not None:
+        table.names = qualified(table.names, container)
     return table
 
 
@@ -226,15 +285,12 @@ def _rates_of(source: Source, gyro: Source | None) -> tuple[OneSensor | None, li
     if given is None:
         return None, []
     try:
-        form = text_format(given)
-        table = _table(given, form)
+        rates = _one_sensor(given)
     except NoRowsError:
         if gyro is not None:
             raise
         return None, [f"{given.path.name}: holds a header and no samples; read without a gyroscope"]
-    if gyro is None and not rates_alone(table.names or []):
-        return None, []
-    return OneSensor(table, form.column_map, form.rate_hz), []
+    return (rates if gyro is not None or rates_alone(rates.table.names or []) else None), []
 
 
 def _mapped(source: Source, form: TextFormat, gyro: Source | None, notes: list[str]) -> Log:
@@ -280,3 +336,7 @@ def other_file(path: Path, rules: tuple[tuple[str, str], ...]) -> Path | None:
         if part in path.name and candidate.is_file():
             return candidate
     return None
+
+
+_TABLES = {magic.TEXT: _text_log, magic.JSON: _json_log}
+"""What opens the tables that a gyroscope's own file may go with."""

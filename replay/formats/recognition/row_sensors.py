@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, LoggedSensor
-from stillcal.replay.formats.recognition.names import find_axes, qualified, rates_alone
+from stillcal.replay.formats.recognition.names import find_axes, qualified, rates_alone, spaced
 from stillcal.replay.formats.recognition.settle import OneSensor, settled_apart
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.chosen import ChosenRows, TableWithTexts
@@ -30,7 +30,7 @@ def sensors_of_rows(
     place, texts = _naming(table)
     if place is None:
         return []
-    names = {text: qualified(table.names or [], text.strip()) for text in texts}
+    names = {text: qualified(table.names or [], spaced(text)) for text in texts}
     of_sensors = [text for text in texts if find_axes(names[text])]
     if all(rates_alone(names[text]) for text in of_sensors):
         raise GyroscopeAloneError(table.path)
@@ -52,6 +52,6 @@ def _naming(table: TableWithTexts) -> tuple[int | None, Sequence[str]]:
         if is_number(cell.strip().encode()) or is_date(cell.strip().encode()):
             continue
         texts = [text for text in table.texts(place) or [] if text != names[place]]  # of a repeated header
-        if any(find_axes(qualified(names, text.strip())) for text in texts):
+        if any(find_axes(qualified(names, spaced(text))) for text in texts):
             return place, texts
     return None, ()

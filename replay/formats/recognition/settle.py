@@ -52,6 +52,9 @@ _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
 
+COUNTED_WIDTHS = (4, 7)
+"""Cells of a row without names that are a time and three axes, and three more."""
+
 _MOSTLY_FORWARD = 0.9
 """Share of steps that a column of times makes forward at least; a few rows may be out of order."""
 
@@ -168,7 +171,7 @@ def _counted(table: Table, rate_hz: float | None) -> list[_Candidate]:
     table: of 4 or 7 columns; one less where the file states its rate and holds no time. Those are the
     accelerometer's whose size is gravity's. Raises TraceError where both could be.
     """
-    timed = table.width in (4, 7) or rate_hz is None
+    timed = table.width in COUNTED_WIDTHS or rate_hz is None
     stamps = [Stamps(0, "", None)] if timed else []
     places = (1, 4) if timed else (0, 3)
     first, second = (Axes(Sensor.ACCELEROMETER, "", (p, p + 1, p + 2), None) for p in places)

@@ -26,6 +26,7 @@ from stillcal.replay.formats.recognition.header import (
     with_units,
 )
 from stillcal.replay.formats.recognition.names import is_own
+from stillcal.replay.formats.recognition.settle import COUNTED_WIDTHS
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.plain import plain_text
 from stillcal.replay.formats.tables.text import text_head, uncommented
@@ -181,7 +182,7 @@ def _headerless(lines: list[str], *, timed: bool = True) -> TextFormat:
         return TextFormat(
             "mikoff", load_map("mikoff"), "no time stamps: 100 Hz is taken, as mikoff's logs have"
         )
-    counted = width in (4, 7) or (not timed and width in (3, 6))
+    counted = width in COUNTED_WIDTHS or (not timed and width in (3, 6))
     return TextFormat(UNKNOWN, _counted(delimiter) if counted else load_map("csv"))
 
 

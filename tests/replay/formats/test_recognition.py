@@ -587,7 +587,7 @@ def test_dates_are_read_as_seconds(tmp_path: Path, form: str, start: float) -> N
             read_all(path)
 
 
-@pytest.mark.parametrize(("text", "kind"), [('[{"x": 1}]', "JSON"), ("<html>", "HTML or XML")])
+@pytest.mark.parametrize(("text", "kind"), [("<html>", "HTML or XML"), ("<?xml", "HTML or XML")])
 def test_other_texts_are_named(tmp_path: Path, text: str, kind: str) -> None:
     (tmp_path / "r.txt").write_text(text)
     with pytest.raises(TraceError, match=f"is {kind}, not a recording"):

@@ -1,0 +1,285 @@
+"""JSON recordings: one object a line, arrays of objects, and objects that hold lists."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.tables import json_records
+from stillcal.replay.formats.trace import Recording, open_trace, read_all
+from tests.support.log_files import DATA, as_zip
+
+T, FORCE, RATE = DATA[:, 0], DATA[:, 1:4], DATA[:, 4:]
+EPOCH_MS = 1.7e12
+Record = dict[str, Any]
+Pack = Callable[[list[Record]], str]
+
+
+def lines(records: list[Record]) -> str:
+    return "\n".join(map(json.dumps, records)) + "\n"
+
+
+def array(records: list[Record]) -> str:
+    return json.dumps(records)
+
+
+def array_of_lines(records: list[Record]) -> str:
+    return "[\n" + ",\n".join(map(json.dumps, records)) + "\n]\n"
+
+
+def indented(records: list[Record]) -> str:
+    return json.dumps(records, indent=2)
+
+
+def one_after_another(records: list[Record]) -> str:
+    return "\n".join(json.dumps(record, indent=2) for record in records)
+
+
+def in_an_object(records: list[Record]) -> str:
+    return json.dumps({"device": "phone", "samples": records})
+
+
+PACKS = [lines, array, array_of_lines, indented, one_after_another, in_an_object]
+
+
+def samples() -> list[tuple[float, list[float], list[float]]]:
+    return list(zip(T.tolist(), FORCE.tolist(), RATE.tolist(), strict=True))
+
+
+def flat() -> list[Record]:
+    axes = ("acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z")
+    return [{"time": t, **dict(zip(axes, [*a, *w], strict=True))} for t, a, w in samples()]
+
+
+def nested() -> list[Record]:
+    return [
+        {
+            "ts": EPOCH_MS + 1e3 * t,
+            "acc": dict(zip("xyz", a, strict=True)),
+            "note": 'a "b" {[\\',
+            "gyr": list(w),
+        }
+        for t, a, w in samples()
+    ]
+
+
+def of_texts() -> list[Record]:
+    """Return records as Sensor Logger exports them: a record for each sensor, all values texts."""
+    records: list[Record] = [{"sensor": "Metadata", "version": "3", "device name": "phone"}]
+    for t, a, w in samples():
+        stamp = {"time": str(round(1.7e18 + 1e9 * t)), "seconds_elapsed": repr(t)}
+        records.append(
+            {"sensor": "TotalAcceleration", **stamp, **dict(zip("zyx", map(repr, a[::-1]), strict=True))}
+        )
+        records.append({"sensor": "Gyroscope", **stamp, **dict(zip("xyz", map(repr, w), strict=True))})
+        records.append({"sensor": "Barometer", "relativeAltitude": "0.5", "pressure": "1013.2", **stamp})
+    return records
+
+
+def in_messages() -> list[Record]:
+    """Return messages as Sensor Logger sends them, ten samples of each sensor in one."""
+    found: list[Record] = []
+    for first in range(0, len(T), 10):
+        payload = []
+        for t, a, w in samples()[first : first + 10]:
+            for name, xyz in (("accelerometeruncalibrated", a), ("gyroscopeuncalibrated", w)):
+                values = dict(zip("xyz", xyz, strict=True))
+                payload.append({"name": name, "time": round(1.7e18 + 1e9 * t), "values": values})
+        found.append({"messageId": len(found), "deviceId": "phone", "payload": payload})
+    return found
+
+
+def read(folder: Path, text: str, name: str = "walk.json") -> Recording:
+    path = folder / name
+    path.write_text(text)
+    return read_all(path)
+
+
+def assert_same(recording: Recording) -> None:
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-12)
+    np.testing.assert_allclose(recording.gyroscope.xyz, RATE, rtol=1e-12)
+    for sensor in (recording.accelerometer, recording.gyroscope):
+        np.testing.assert_allclose(sensor.t - sensor.t[0], T, atol=1e-6)
+
+
+@pytest.mark.parametrize("pack", PACKS)
+@pytest.mark.parametrize("records", [flat, nested, of_texts, in_messages])
+def test_records_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pack: Pack, records: Callable[[], list[Record]]
+) -> None:
+    assert_same(read(tmp_path, pack(records())))
+    monkeypatch.setattr(json_records, "_PIECE", 5000)
+    assert_same(read(tmp_path, pack(records())))
+
+
+def test_records_are_read_from_gzip_zip_and_with_a_byte_order_mark(tmp_path: Path) -> None:
+    (tmp_path / "walk.jsonl.gz").write_bytes(gzip.compress(b"\xef\xbb\xbf" + lines(flat()).encode()))
+    assert_same(read_all(tmp_path / "walk.jsonl.gz"))
+    assert_same(read_all(as_zip(tmp_path, {"walk.json": array(of_texts()), "readme.txt": "a walk"})))
+
+
+def test_own_columns_are_read_as_they_are(tmp_path: Path) -> None:
+    names = ("t", "ax", "ay", "az", "gx", "gy", "gz")
+    recording = read(tmp_path, lines([dict(zip(names, row, strict=True)) for row in DATA.tolist()]))
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+    np.testing.assert_array_equal(recording.accelerometer.t, T)
+
+
+def test_a_list_for_each_sensor_is_read(tmp_path: Path) -> None:
+    sensors = {
+        "accelerometer": [{"t": t, **dict(zip("xyz", a, strict=True))} for t, a, _ in samples()],
+        "gyroscope": [{"t": t, **dict(zip("xyz", w, strict=True))} for t, _, w in samples()],
+        "steps": [{"t": t, "count": i} for i, t in enumerate(T.tolist())],
+    }
+    assert_same(read(tmp_path, json.dumps({"device": "phone", "sensors": sensors})))
+
+
+@pytest.mark.parametrize("form", ["list", "columns", "split", "index"])
+def test_data_frames_are_read(tmp_path: Path, form: str) -> None:
+    names = ["time", "acc_x", "acc_y", "acc_z", "gyr_x", "gyr_y", "gyr_z"]
+    columns = dict(zip(names, DATA.T.tolist(), strict=True))
+    document: Record = {
+        "list": columns,
+        "columns": {k: {str(i): v for i, v in enumerate(column)} for k, column in columns.items()},
+        "split": {"columns": names, "index": list(range(len(T))), "data": DATA.tolist()},
+        "index": {str(i): dict(zip(names, row, strict=True)) for i, row in enumerate(DATA.tolist())},
+    }[form]
+    assert_same(read(tmp_path, json.dumps(document)))
+
+
+def test_nested_arrays_are_read(tmp_path: Path) -> None:
+    document = {
+        "t": T.tolist(),
+        "acc": {"x": FORCE[:, 0].tolist(), "y": FORCE[:, 1].tolist()},
+        "rate_hz": 100,
+    }
+    document["acc"]["z"] = FORCE[:, 2].tolist()  # type: ignore[index]
+    document["gyr"] = RATE.tolist()
+    np.testing.assert_array_equal(read(tmp_path, json.dumps(document)).accelerometer.xyz, FORCE)
+
+
+def test_rows_without_names_are_counted(tmp_path: Path) -> None:
+    recording = read(tmp_path, json.dumps(DATA.tolist()))
+    assert_same(recording)
+    with pytest.raises(TraceError, match="rows of 3 cells"):
+        read(tmp_path, json.dumps(FORCE.tolist()))
+
+
+def test_dates_are_read(tmp_path: Path) -> None:
+    records = flat()
+    for i, record in enumerate(records):
+        record["time"] = f"2026-03-01T10:00:{i // 100:02d}.{i % 100:02d}Z"
+    np.testing.assert_allclose(np.diff(read(tmp_path, lines(records)).accelerometer.t), 0.01, atol=1e-6)
+    records[300]["time"] = "soon"
+    with pytest.raises(TraceError, match=r"walk\.json:301: field 'time' holds 'soon', which is not a date"):
+        read(tmp_path, lines(records))
+
+
+def test_a_gyroscopes_own_file_is_found(tmp_path: Path) -> None:
+    (tmp_path / "gyr.jsonl").write_text(
+        lines([{"t": t, **dict(zip("xyz", w, strict=True))} for t, _, w in samples()])
+    )
+    force = lines([{"t": t, **dict(zip("xyz", a, strict=True))} for t, a, _ in samples()])
+    assert_same(read(tmp_path, force, "acc.jsonl"))
+    with pytest.raises(TraceError, match=r"gyr\.jsonl: holds a gyroscope and no accelerometer"):
+        read_all(tmp_path / "gyr.jsonl")
+
+
+def test_a_column_map_is_used(tmp_path: Path) -> None:
+    time, columns = (
+        '[time]\ncolumn = "ts"\nunit = "ms"',
+        'columns = ["acc.y", "acc.x", "acc.z"]\nunit = "m/s^2"',
+    )
+    (tmp_path / "map.toml").write_text(f"{time}\n[accelerometer]\n{columns}\n")
+    (tmp_path / "walk.json").write_text(lines(nested()))
+    recording = read_all(tmp_path / "walk.json", tmp_path / "map.toml")
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE[:, [1, 0, 2]])
+
+
+def test_missing_and_null_fields_are_empty_cells(tmp_path: Path) -> None:
+    records = flat()
+    for axis in "xyz":
+        del records[5][f"gyr_{axis}"]
+        records[7][f"acc_{axis}"] = None
+    recording = read(tmp_path, lines(records))
+    assert recording.gyroscope is not None
+    assert (len(recording.accelerometer), len(recording.gyroscope)) == (len(T) - 1, len(T) - 1)
+    records[9]["acc_y"] = None
+    with pytest.raises(TraceError, match=r"walk\.json:10: field 'acc_y' is empty"):
+        read(tmp_path, lines(records))
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('{"time": 3, "acc_x": ', r"walk\.json:302: is not JSON .*"),
+        (
+            '{"time": 3, "acc_x": "much", "acc_y": 0, "acc_z": 9}',
+            r"walk\.json:302: field 'acc_x' holds 'much'",
+        ),
+        ('{"time": 3, "acc_x": NaN, "acc_y": 0, "acc_z": 9}', r"walk\.json:302: field 'acc_x' holds nan"),
+        ("[1, 2, 3]", r"walk\.json:302: is no JSON object"),
+        ('{"time": 3, "acc_x": {"raw": 1}, "acc_y": 0, "acc_z": 9}', r"walk\.json:302: field 'acc_x' holds"),
+    ],
+)
+def test_a_faulty_line_is_named(tmp_path: Path, line: str, said: str) -> None:
+    text = lines(flat()).split("\n")
+    text.insert(301, line)
+    with pytest.raises(TraceError, match=said):
+        read(tmp_path, "\n".join(text))
+
+
+@pytest.mark.parametrize("pack", PACKS)
+def test_a_file_cut_short_is_refused(tmp_path: Path, pack: Pack) -> None:
+    text = pack(flat())
+    for length in (len(text) // 2, len(text) - 5):
+        with pytest.raises(TraceError, match=r"walk\.json:\d+: (is not JSON|the JSON ends).*copy it again"):
+            read(tmp_path, text[:length])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"temperature": [1, 2, 3], "name": "x"}', "no accelerometer found in its arrays"),
+        ("[]", "no records"),
+        ("{}", "no accelerometer found"),
+        ('{"a":' * 100_000, "is not JSON"),
+        ("[" * 100_000, "the JSON ends within a record"),
+        ('[{"x": 1}, {"x": 2}]', "no accelerometer found by its names; the header has: x"),
+        ('{"a": 1}\n{"a": 2}\n', "no accelerometer found by its names"),
+    ],
+)
+def test_json_that_is_no_recording_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(TraceError, match=said):
+        read(tmp_path, text)
+
+
+def test_a_long_object_is_refused_before_it_fills_the_memory(tmp_path: Path) -> None:
+    path = tmp_path / "long.json"
+    with path.open("wb") as file:
+        file.write(b'{"t": [0.1,')
+        file.truncate(10 << 30)
+    with pytest.raises(TraceError, match="one JSON object of more than 64 MB; write one object a line"):
+        open_trace(path)
+
+
+def test_a_json_recording_beside_another_is_no_file_of_claims(tmp_path: Path) -> None:
+    """Both are kept: neither is read as the maker's claims, nor written over by them."""
+    recording = read(tmp_path, lines(flat()), "walk.jsonl")
+    for pack in (array, lines, in_an_object):
+        (tmp_path / "walk.json").write_text(pack(flat()))
+        assert_same(read_all(tmp_path / "walk.jsonl"))
+        with pytest.raises(TraceError, match=r"walk\.json: would be replaced by the maker's claims"):
+            recording.save(tmp_path / "walk.csv")
+        assert (tmp_path / "walk.json").read_text() == pack(flat())
+        assert not (tmp_path / "walk.csv").exists()
+    (tmp_path / "walk.json").write_text('{"nominal_rate_hz": 100}')
+    assert open_trace(tmp_path / "walk.jsonl").claims.nominal_rate_hz == 100
