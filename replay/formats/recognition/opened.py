@@ -17,6 +17,7 @@ from stillcal.replay.formats.logs.dataflash import open_dataflash
 from stillcal.replay.formats.logs.gnss_logger import open_gnss_logger
 from stillcal.replay.formats.logs.json_log import json_tables
 from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
+from stillcal.replay.formats.logs.sample_folder import sample_folder, sample_members
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
@@ -82,7 +83,8 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
     if str(path) != STANDARD_INPUT and found.is_dir():
         if (found / "metadata.yaml").is_file():
             return open_ros_folder(found)
-        return _archive(found, members_of_folder(found), column_map)
+        log = sample_folder(found) if column_map is None else None
+        return log or _archive(found, members_of_folder(found), column_map)
     source = source_of(str(path) if str(path) == STANDARD_INPUT else found, magic.kind_of)
     log = _log(source, column_map, None if gyro is None else source_of(gyro))
     return replace(log, notes=[f"{source.path.name}: {source.said}", *log.notes]) if source.said else log
@@ -125,7 +127,7 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
     """Return what a folder or a zip archive holds. Raises TraceError where it is no recording, or several."""
     if "[Content_Types].xml" in members:
         raise TraceError(path, "is an Office document (Excel?)", "export the recording as CSV")
-    export = phone_export(path, members)
+    export = phone_export(path, members) or sample_members(path, members)
     if export is not None:
         return export
     found, alone, empty = _opened(members, column_map)
