@@ -80,7 +80,7 @@ _NEITHER = {
         "integral",
     ),
 }
-_FILLERS = {
+FILLERS = {
     "velocity",
     "vel",
     "rate",
@@ -107,6 +107,9 @@ The word by which both kinds go on is `bodyrate`."""
 
 _VAGUE = {"linear", "alpha", "rot", "rotation", "rotationrate", "bodyrate"}
 """Words that also stand for acceleration without gravity, angles, angular acceleration, filtered rates."""
+
+SENSOR_WORDS = {Sensor.ACCELEROMETER: _ACCELERATION - _VAGUE, Sensor.GYROSCOPE: _RATE - _VAGUE}
+"""Words that stand for a sensor and nothing else."""
 
 _TIME = {
     *(
@@ -361,7 +364,7 @@ def _axis_of(name: str) -> _Word | None:
     unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)
     if unit in KNOWN_UNITS and (unit in _FORCE) != acceleration:
         unit = None
-    plain = _ACCELERATION | _RATE | _FILLERS
+    plain = _ACCELERATION | _RATE | FILLERS
     label, quantity = ("_".join(w for w in words if (w in plain) is said) for said in (False, True))
     return _Word(sensor, axis, label, unit, quantity)
 
@@ -371,7 +374,12 @@ def _words(name: str) -> tuple[str, list[str]]:
     brackets = [b.strip().lower() for b in _BRACKETS.findall(name)]
     plain = _BRACKETS.sub(" ", name.lstrip("#"))
     plain = plain.replace("gF", "gf").replace("IMU", "imu")
-    return (brackets[-1] if brackets else ""), [w.lower() for w in _CAMEL.split(plain) if w]
+    return (brackets[-1] if brackets else ""), split_words(plain)
+
+
+def split_words(text: str) -> list[str]:
+    """Return the words of a text in small letters, those of camelCase apart."""
+    return [word.lower() for word in _CAMEL.split(text) if word]
 
 
 def _spelled(unit: str) -> str:

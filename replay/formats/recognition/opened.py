@@ -22,6 +22,7 @@ from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
 from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, rates_alone
+from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import sensors_of_rows
 from stillcal.replay.formats.recognition.settle import COUNTED_WIDTHS, OneSensor, settled, settled_apart
@@ -49,24 +50,6 @@ _BINARY_LOGS = {
     magic.DATAFLASH: open_dataflash,
     magic.ULOG: open_ulog,
 }
-
-
-_PAIRS = tuple(
-    (force, rate)
-    for forces, rate in (
-        (("Accelerometer", "Acceleration", "TotalAcceleration"), "Gyroscope"),
-        (("accelerometer", "acceleration"), "gyroscope"),
-        (("accel",), "gyro"),
-        (("Accel",), "Gyro"),
-        (("acc",), "gyr"),
-        (("Acc",), "Gyr"),
-        (("ACC",), "GYR"),
-        (("acc",), "gyro"),
-        (("Acc",), "Gyro"),
-    )
-    for force in forces
-)
-"""Parts of the names of files that belong together: the accelerometer's, and the gyroscope's."""
 
 
 class RestTableGivenError(TraceError):
@@ -282,7 +265,7 @@ def _rates_of(source: Source, gyro: Source | None) -> tuple[OneSensor | None, li
 
     Raises TraceError where the given one is of another format.
     """
-    beside = other_file(source.path, _PAIRS) if source.local == source.path else None
+    beside = rates_file(source.path) if source.local == source.path else None
     given = gyro or (None if beside is None else source_of(beside))
     if given is None:
         return None, []

@@ -10,6 +10,7 @@ import pytest
 import scipy.io
 
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.trace import Recording, read_all
 from tests.support.log_files import (
     DATA,
@@ -174,3 +175,46 @@ def test_a_bag_in_radians_is_read_without_a_word(tmp_path: Path) -> None:
     recording = read_all(bag(tmp_path, 1.0))
     assert recording.gyroscope is not None and not recording.notes
     np.testing.assert_allclose(recording.gyroscope.xyz[:600], RATE, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("accelerometer", "gyroscope"),
+    [
+        ("ACC.csv", "GYR.csv"),
+        ("myAccData3.csv", "myGyroData3.csv"),
+        ("walk-accelerometer-left.txt", "walk-gyroscope-left.txt"),
+        ("TotalAcceleration.csv", "Gyroscope.csv"),
+        ("accelerations.csv", "gyroscopes.csv"),
+        ("linear_acceleration.csv", "angular_velocity.csv"),
+        ("acc_protocol_1.csv", "gyr_protocol_1.csv"),
+        ("rawTotalAccelerationData.csv", "rawGyroscopeData.csv"),
+        ("ACC_gyration.csv", "GYR_gyration.csv"),
+        ("accident_acc.csv", "accident_gyr.csv"),
+        ("imu0_specific_force.csv", "imu0_angular_rate.csv"),
+        ("accel.csv", "omega.csv"),
+    ],
+)
+def test_the_gyroscopes_file_is_called_the_same_with_its_own_word(
+    tmp_path: Path, accelerometer: str, gyroscope: str
+) -> None:
+    others = ("gyr_11.csv", "gyro_other.csv", "magnetometer.csv", "rotation.csv", "acc_2.csv")
+    for name in (accelerometer, gyroscope, *others):
+        (tmp_path / name).touch()
+    assert rates_file(tmp_path / accelerometer) == tmp_path / gyroscope
+
+
+@pytest.mark.parametrize("name", ["acc_1_1.csv", "walk.csv", "gyr_11.csv", "rotation.csv", "linear.csv"])
+def test_a_file_of_another_name_is_not_taken(tmp_path: Path, name: str) -> None:
+    for other in ("gyr_11.csv", "acc_11.csv.gz", "rotation.csv", "gyro_acc_11.csv"):
+        (tmp_path / other).touch()
+    assert rates_file(tmp_path / name) is None
+
+
+def test_of_several_files_that_with_the_most_alike_name_is_taken(tmp_path: Path) -> None:
+    names = ("Gyroscope.csv", "gyro.csv", "gyr.csv", "GyroscopeUncalibrated.csv", "gyroscope_raw.csv")
+    for name in names:
+        (tmp_path / name).touch()
+    pairs = {"Accelerometer.csv": 0, "accel.csv": 1, "Acc.csv": 2, "AccelerometerUncalibrated.csv": 3}
+    assert {name: rates_file(tmp_path / name).name for name in pairs} == {
+        n: names[i] for n, i in pairs.items()
+    }
