@@ -1,9 +1,9 @@
 """Whether a line is there all along, or comes and goes: the course of its power against a steady line's.
 
 The amplitude of the line is read in short pieces, in units of the noise about it. A steady line is in every
-piece, or in every one of its span and in none outside it. One that comes and goes is in each piece with some probability.
-Everything else is the same in both models, and is integrated out: the line's level, how much it scatters by
-itself, the level of the noise.
+piece, or in every one of its span and in none outside it. One that comes and goes is in each piece with some
+probability. Everything else is the same in both models, and is integrated out: the line's level, how much it
+scatters by itself, the level of the noise.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def _pieces(seen: Stretches, rows: Index, frequency: float, parts: int) -> Piece
 
 
 def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
-    """Compare both models. edge: s about the ends of the line's span of which it is not known if it is there."""
+    """Compare both models. edge: s about the ends of the line's span where it is not known if it is there."""
     span = (where.t_start, where.t_end)
     near = np.minimum(np.abs(pieces.t - span[0]), np.abs(pieces.t - span[1])) < edge
     inside = (pieces.t > span[0]) & (pieces.t < span[1])
@@ -262,8 +262,8 @@ def _unsteady(line: Finding, told: _Told) -> Finding:
     }
     frequency = float(np.asarray(line.parameters["frequency"].value))
     say = (
-        f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there in"
-        f" {100.0 * told.share:.0f} % of the time at rest, with an amplitude of {told.amplitude.max():.3g}"
+        f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there"
+        f" in {100.0 * told.share:.0f} % of the time at rest, with an amplitude of {told.amplitude.max():.3g}"
         f" {UNIT[line.sensor]}."
     )
     where = Where(*told.span, line.where.band_hz, DRIVER)
