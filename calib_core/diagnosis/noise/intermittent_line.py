@@ -1,9 +1,9 @@
 """Whether a line is there all along, or comes and goes: the course of its power against a steady line's.
 
-The amplitude of the line is read in short pieces, in units of the noise about it. A steady line is in every
-piece, or in every one of its span and in none outside it. One that comes and goes is in each piece with some
-probability. Everything else is the same in both models, and is integrated out: the line's level, how much it
-scatters by itself, the level of the noise.
+The amplitude of the line is read in short pieces, in units of the noise about it, which differs where the
+device was touched. A steady line is in every piece, or in every one of its span and in none outside it. One
+that comes and goes is in each piece with some probability. Everything else is the same in both models, and is
+integrated out: the line's level, how much it scatters by itself, the level of the noise.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ LEVELS, PARTS = 20, 9
 
 STRAY = 0.02
 """Part of the pieces in which anything may happen."""
+
 STRAY_RANGE = float(np.log(1e6))
 """Its amplitudes: any of six decades."""
 
@@ -60,6 +61,8 @@ BESIDE = 60
 """Frequencies on either side whose median power is the noise: of so many it is known to a tenth."""
 
 LEAST_THERE = 0.9
+"""Part of a piece that must have been recorded."""
+
 SILENT = 1e-9
 """Part of a spectrum's largest power that counts as noise at least: simulations may have none."""
 
@@ -68,12 +71,20 @@ SILENT = 1e-9
 class Pieces:
     """A line in n pieces. t: (n,) s, their middles; amplitude: (n,) over the noise of all three axes.
 
-    power: (n, 3) squared amplitude of the sine on each axis, without the noise's.
+    power: (n, 3) squared amplitude of the sine on each axis, without the noise's; noise: (n, 3) its variance.
     """
 
     t: Array
     amplitude: Array
     power: Array
+    noise: Array
+
+    def louder(self) -> Array:
+        """Return how far one and the same line stands above each piece's noise (n,), the median as one."""
+        line = np.maximum(self.power.mean(axis=0), 0.0)
+        above = np.sqrt((line / self.noise).sum(axis=1))
+        middle = float(np.median(above))
+        return above / middle if middle > 0.0 else np.ones(above.size)
 
 
 def is_line(found: Finding) -> bool:
@@ -134,7 +145,7 @@ def _pieces(seen: Stretches, rows: Index, frequency: float, parts: int) -> Piece
     The halves lie end to end, as stretches overlap by half. The noise is the median of the neighbours of the
     line in its own stretch.
     """
-    at, read, own = [], [], []
+    at, read, own, about = [], [], [], []
     centre = round(frequency / float(seen.f[1]))
     away = np.arange(OWN // 2 + 1, BESIDE)
     least = SILENT * float(seen.power[rows].max())
@@ -160,17 +171,18 @@ def _pieces(seen: Stretches, rows: Index, frequency: float, parts: int) -> Piece
         read.append(np.sqrt(power[whole]))
         sine = np.abs(read_there) ** 2 - noise * weight[:, None]
         own.append((4.0 * sine / np.maximum(window.sum(axis=1), 1e-9)[:, None] ** 2)[whole])
-    return Pieces(np.concatenate(at), np.concatenate(read), np.concatenate(own))
+        about.append(np.broadcast_to(noise, sine.shape)[whole])
+    return Pieces(*map(np.concatenate, (at, read, own, about)))
 
 
 def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
-    """Compare both models. edge: s about the ends of the line's span where it is not known if it is there."""
+    """Compare both models. edge: s about the ends of the line's span, where it may be there or not."""
     span = (where.t_start, where.t_end)
     near = np.minimum(np.abs(pieces.t - span[0]), np.abs(pieces.t - span[1])) < edge
     inside = (pieces.t > span[0]) & (pieces.t < span[1])
     known = inside | ~near
-    t, s, inside = pieces.t[known], pieces.amplitude[known], inside[known]
-    grid = _densities(s, inside)
+    t, s, inside, louder = pieces.t[known], pieces.amplitude[known], inside[known], pieces.louder()[known]
+    grid = _densities(s, inside, louder)
     steady, changing, here = grid.steady, grid.changing, grid.here
     fold = blocks(s.size)
     gain = float(
@@ -182,7 +194,8 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
     chance = weight @ here
     there = chance > 0.5
     level = float(weight @ grid.level)
-    held_out = HeldOut(gain, rms(s - np.where(inside, level, 0.0)), rms(s - np.where(there, level, 0.0)))
+    line = level * louder
+    held_out = HeldOut(gain, rms(s - np.where(inside, line, 0.0)), rms(s - np.where(there, line, 0.0)))
     ends = (float(t[there].min()), float(t[there].max())) if there.any() else span
     power = pieces.power[known][there] if there.any() else pieces.power
     amplitude = np.sqrt(np.maximum(power.mean(axis=0), 0.0))
@@ -204,15 +217,17 @@ class _Densities:
     level: Array
 
 
-def _densities(s: Array, inside: NDArray[np.bool_]) -> _Densities:
-    """Return the densities of amplitudes s (n,) over noise."""
-    top = float(np.quantile(s, 0.95))
-    levels = np.geomspace(max(0.3 * float(np.quantile(s, 0.5)), 0.05 * top), 1.5 * top, LEVELS)
+def _densities(s: Array, inside: NDArray[np.bool_], louder: Array) -> _Densities:
+    """Return the densities of amplitudes s (n,) over noise, of a line that stands `louder` (n,) above it."""
+    alike = s / louder
+    top = float(np.quantile(alike, 0.95))
+    levels = np.geomspace(max(0.3 * float(np.quantile(alike, 0.5)), 0.05 * top), 1.5 * top, LEVELS)
     stray = STRAY / (np.maximum(s, 1e-12) * STRAY_RANGE)
     shares = (np.arange(PARTS) + 0.5) / PARTS
     steady, changing, here, of = [], [], [], []
     for level, scatter, floor in product(levels, SCATTERS, FLOORS):
-        there, gone = (1.0 - STRAY) * _there(s, level, scatter, floor), (1.0 - STRAY) * _gone(s, floor)
+        there = (1.0 - STRAY) * _there(s, level * louder, scatter, floor)
+        gone = (1.0 - STRAY) * _gone(s, floor)
         steady += [np.log(there + stray), np.log(np.where(inside, there, gone) + stray)]
         for share in shares:
             both = share * there + (1.0 - share) * gone + stray
@@ -222,8 +237,8 @@ def _densities(s: Array, inside: NDArray[np.bool_]) -> _Densities:
     return _Densities(np.array(steady), np.array(changing), np.array(here), np.array(of))
 
 
-def _there(s: Array, level: float, scatter: float, floor: float) -> Array:
-    """Return the density of the amplitude s (n,) where the line is there, its own level scattered.
+def _there(s: Array, level: Array, scatter: float, floor: float) -> Array:
+    """Return the density of the amplitude s (n,) where the line is there, its own level (n,) scattered.
 
     The power of three axes, line and noise, is a noncentral chi-squared with six degrees of freedom.
     """
@@ -263,8 +278,8 @@ def _unsteady(line: Finding, told: _Told) -> Finding:
     frequency = float(np.asarray(line.parameters["frequency"].value))
     say = (
         f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there"
-        f" in {100.0 * told.share:.0f} % of the time at rest, with an amplitude of {told.amplitude.max():.3g}"
-        f" {UNIT[line.sensor]}."
+        f" in {100.0 * told.share:.0f} % of the time at rest, with an amplitude of"
+        f" {told.amplitude.max():.3g} {UNIT[line.sensor]}."
     )
     where = Where(*told.span, line.where.band_hz, DRIVER)
     return replace(line, effect="unknown", where=where, parameters=parameters, statement=say)
