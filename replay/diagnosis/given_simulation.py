@@ -29,23 +29,24 @@ ON_VALUES = (*OF_DENSITY, "saturation", "bandwidth", "time_offset")
 def judge_simulation(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Compare a recording with a simulation's. Raises NotSupported where either has too little data."""
     recorded = examined(recording, show_stage)
-    return judge_examined(recording, recorded, simulation, show_stage=show_stage)
+    simulated = examined(simulation, show_stage)
+    return judge_examined(recording, recorded, simulation, simulated, show_stage=show_stage)
 
 
 def judge_examined(
     recording: Recording,
     recorded: Examination,
     simulation: Recording,
+    simulated: Examination,
     again: Correct | None = None,
     *,
     show_stage: ShowStage = silent,
 ) -> Judged:
-    """Compare a recording that was examined with a simulation's.
+    """Compare a recording with a simulation's, both with their examinations.
 
     again: makes the simulation anew with what was found; None where it is put into the samples.
     """
     names = (recording.name, simulation.name)
-    simulated = examined(simulation, show_stage)
     show_stage("comparing", 0.0)
     before = compare(recorded, simulated, names)
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")

@@ -44,5 +44,7 @@ def judge_phone(
         fixed = fixed_for("phone", dump_phone(phone), answer)
         return Corrected(played(phone_from(fixed.text)), fixed.left_out)
 
-    judged = judge_examined(recording, recorded, played(phone), again, show_stage=show_stage)
+    simulation = played(phone)
+    simulated = examined(simulation, show_stage)
+    judged = judge_examined(recording, recorded, simulation, simulated, again, show_stage=show_stage)
     return replace(judged, case=case)

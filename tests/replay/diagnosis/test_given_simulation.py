@@ -17,7 +17,8 @@ from click.testing import CliRunner
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.cli.main import cli
-from stillcal.replay.diagnosis.given_simulation import judge_simulation
+from stillcal.replay.diagnosis.given_simulation import judge_examined, judge_simulation
+from stillcal.replay.diagnosis.judged import Judged, examined
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import TraceWriter
@@ -53,7 +54,21 @@ def simulated(share: float) -> Recording:
     return named(recorded(phone_with(*effects), 8), "sim.csv")
 
 
-judged = cache(judge_simulation)
+examination = cache(examined)
+
+
+@cache
+def judged(recording: Recording, simulation: Recording) -> Judged:
+    """Judge as `judge_simulation` does, each recording examined once for all tests."""
+    return judge_examined(recording, examination(recording), simulation, examination(simulation))
+
+
+@pytest.mark.slow
+def test_recordings_are_judged_with_their_examinations() -> None:
+    whole = judge_simulation(real(), simulated(0.0)).answer
+    assert [f["statement"] for f in whole["findings"]] == [
+        f["statement"] for f in answer(real(), simulated(0.0))["findings"]
+    ]
 
 
 def answer(recording: Recording, simulation: Recording) -> dict[str, Any]:
@@ -138,6 +153,7 @@ def test_constants_and_noise_that_differ_are_told_in_their_own_units() -> None:
     assert found["noise_level"]["difference"]["ratio"]["value"] == pytest.approx([0.5] * 3, rel=0.05)
 
 
+@cache
 def odd(ratio: float, seed: int, name: str) -> Recording:
     """A recording of a phone whose y axis has `ratio` times the others' noise."""
     phone = phone_with()
