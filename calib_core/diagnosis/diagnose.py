@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
@@ -24,6 +25,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
+from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
@@ -161,9 +163,12 @@ def _with_motion(
     known, affine = Known.among(exam.statements), None
     bare = off_bins(exam.bins, known)
     gravity = exam.claims.gravity
+    most = min(limits_of("gyro_saturation", direct), default=np.inf)
+    rates = OffRates.of(known, exam.accelerometer)
+    turned = partial(_turned, exam.gyroscope, bare, gravity, most)
+    turns = None
     if len(exam.bins):
-        most = min(limits_of("gyro_saturation", direct), default=np.inf)
-        affine = aligned(exam.gyroscope, bare, gravity, most, OffRates.of(known, exam.accelerometer))
+        affine, turns = turned(rates)
     filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra is not None})
     motion = shown_in_motion(
         exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
@@ -171,11 +176,18 @@ def _with_motion(
     )  # fmt: skip
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
-    turns = None
-    if affine is not None and not exam.exchanged:
-        turns = turn_scene(affine, bare, gravity)
-        stated += turn_statements(turns, without) if search else []
+    turns = None if exam.exchanged else turns
+    if affine is not None and turns is not None and search:
+        stated += about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
     return replace(exam, aligned=affine, turns=turns, statements=stated, delay=motion.delay)
+
+
+def _turned(
+    gyroscope: Samples, bins: Bins, gravity: float, limit: float, rates: Rates
+) -> tuple[Aligned, Scene | None]:
+    """Return both sensors' affine parameters and the turns under them; arguments are those of `aligned`."""
+    affine = aligned(gyroscope, bins, gravity, limit, rates)
+    return affine, turn_scene(affine, bins, gravity)
 
 
 def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:

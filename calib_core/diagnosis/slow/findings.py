@@ -231,7 +231,7 @@ def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]
             log_bayes_factor=_log_bayes_factor(scene, own, others),
         ),
         alternatives=alternatives,
-        statement=_statement(found, axes, alternatives),
+        statement=sentence(found, axes, alternatives),
     )
 
 
@@ -339,7 +339,8 @@ def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
     return Where(t_start, hypothesis.grid.get("t_end", end), SLOW_BAND, hypothesis.effect.follows)
 
 
-def _statement(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
+def sentence(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
+    """Return what is said of a finding: its size, what can be done, and what it cannot be told from."""
     effect = found.hypothesis.effect
     said = effect.sentence.format(axes=", ".join(axes))[:-1]
     remedy = f"; {effect.remedy}" if effect.remedy else ""
