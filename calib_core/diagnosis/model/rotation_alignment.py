@@ -108,14 +108,20 @@ def as_read(samples: Samples) -> Array:
 def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf, rates: Rates = as_read) -> list[Cut]:
     """Cut the turns between successive rests, each less the bias that its neighbourhood tells best.
 
-    Turns in which a rate comes near `limit` (rad/s), where the sensor stops, are left out.
+    Turns in which a rate as read comes near `limit` (rad/s), where the sensor stops, are left out.
     """
     if bins.rate is None:
         return []
     bias = _local_bias(bins.rate)
     last = np.flatnonzero(np.diff(bins.rest) > 0)
     found = [_cut(gyroscope, bins, bias, int(i), rates) for i in last]
-    return [c for c in found if c is not None and np.abs(c.rate).max() < SHORT_OF * limit]
+    return [c for c in found if c is not None and _fastest(gyroscope, c, bias) < SHORT_OF * limit]
+
+
+def _fastest(gyroscope: Samples, cut: Cut, bias: Array) -> float:
+    """Return the largest rate on any axis during a turn as read, less its bias, rad/s."""
+    first = int(np.searchsorted(gyroscope.t, cut.t[0]))
+    return float(np.abs(gyroscope.xyz[first : first + cut.t.size] - bias[cut.first]).max())
 
 
 def _local_bias(rate: Array) -> Array:

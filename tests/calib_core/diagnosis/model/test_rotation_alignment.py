@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
-from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned, cuts
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -60,3 +60,13 @@ def test_few_attitudes_and_turns_tell_gravity_and_the_gyroscope() -> None:
     frame = rotation.as_matrix()
     assert np.abs(made.mapping @ GYRO @ frame.T - frame.T).max() < 3e-3
     assert max(float(np.linalg.norm(t.miss)) for t in made.turns) < 5e-3
+
+
+def test_a_turn_that_reaches_the_limit_is_left_out_whatever_is_known_of_its_rate() -> None:
+    """What is taken off a rate that stopped at the limit does not make it one that was measured."""
+    _, gyroscope, _ = day()
+    bins = cut(*day()[:2])
+    limit = 0.9 * float(np.abs(gyroscope.xyz).max())
+    fewer = cuts(gyroscope, bins, limit)
+    assert 0 < len(fewer) < len(cuts(gyroscope, bins))
+    assert len(cuts(gyroscope, bins, limit, lambda samples: 0.8 * samples.xyz)) == len(fewer)
