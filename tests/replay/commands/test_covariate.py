@@ -69,12 +69,6 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     assert {r["unit"] for r in rows} <= {"m/s^2", "rad/s", "rad"}
 
 
-def test_without_the_column_the_bias_has_no_such_name(log: Path, tmp_path: Path) -> None:
-    answer = tmp_path / "answer.json"
-    run(log, "--json", answer)
-    assert "gyro_bias_battery_v" not in answer.read_text()
-
-
 def test_a_column_that_does_not_change_is_said_to_drive_nothing(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "short.csv"
     header, *lines = log.read_text().splitlines()[:900]
