@@ -56,6 +56,9 @@ STRAY = 0.02
 STRAY_RANGE = float(np.log(1e6))
 """Its amplitudes: any of six decades."""
 
+ASYMPTOTIC = 1e6
+"""Argument from which a scaled Bessel function falls as one over its root (Abramowitz and Stegun, 9.7.1)."""
+
 AXES = 3
 BESIDE = 60
 """Frequencies on either side whose median power is the noise: of so many it is known to a tenth."""
@@ -247,7 +250,9 @@ def _there(s: Array, level: Array, scatter: float, floor: float) -> Array:
     unit, density = s / floor, np.zeros(s.size)
     for node, weight in zip(*SCATTERED, strict=True):
         line = level / floor * max(1.0 + scatter * node, 0.05)
-        near = np.exp(-((unit - line) ** 2)) * ive(2, 2.0 * unit * line)
+        twice = 2.0 * unit * line
+        bessel = ive(2, np.minimum(twice, ASYMPTOTIC)) / np.sqrt(np.maximum(twice / ASYMPTOTIC, 1.0))
+        near = np.exp(-((unit - line) ** 2)) * bessel
         density += weight * 2.0 * unit * (unit / line) ** 2 * near / floor
     return density
 
