@@ -44,6 +44,7 @@ from stillcal.calib_core.temperature.regression import (
     Model,
     Observations,
     Priors,
+    Spans,
     learn,
 )
 
@@ -136,7 +137,8 @@ def learn_gyroscope(
     middle = frozen(np.median(rate, axis=0))
     level, level_sd = np.ones((len(memory), 1)), np.array([_RATE_SPREAD])
     sd = memory.rate_sd.mean(axis=1)
-    seen = Observations(memory.t, memory.celsius, rate - middle, sd, level, level_sd)
+    known = (memory.t, memory.celsius, rate - middle, sd, level, level_sd)
+    seen = Observations(*known, spans=Spans(memory.t))
     return _learn(Sensor.GYROSCOPE, seen, memory, middle=middle, record=record, t=t, settings=settings)
 
 
@@ -155,7 +157,8 @@ def learn_accelerometer(
     level_sd = _level_spread(record, value)
     sd = np.linalg.norm(towards * memory.force_sd, axis=1)
     linear = partial(_norms, memory=memory, model=model)
-    seen = Observations(memory.t, memory.celsius, value, sd, level, level_sd, towards, linear=linear)
+    known = (memory.t, memory.celsius, value, sd, level, level_sd, towards)
+    seen = Observations(*known, linear=linear, spans=Spans(memory.t))
     middle = model.bias
     return _learn(Sensor.ACCELEROMETER, seen, memory, middle=middle, record=record, t=t, settings=settings)
 

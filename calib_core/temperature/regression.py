@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -68,6 +69,10 @@ class Wander:
         apart = np.abs(t[:, None] - other)
         return self.flicker**2 * _flicker(apart) + self.walk**2 * np.minimum(t[:, None], other)
 
+    def over(self, spans: Spans) -> Array:
+        """Return the covariance of the wander at the times of rests: (n, n)."""
+        return self.flicker**2 * spans.flicker_since + self.walk**2 * spans.walk
+
     def growth(self, age_s: float) -> float:
         """Return the variance by which the bias changes within a time, s."""
         apart = np.array(max(age_s, 0.0))
@@ -78,6 +83,32 @@ class Wander:
 def _flicker(apart: Array) -> Array:
     total: Array = np.sum([np.exp(-apart / tau) for tau in FLICKER_TAUS_S], axis=0)
     return total
+
+
+class Spans:
+    """What a regression needs of the times of rests alone: t (n,) s, oldest first.
+
+    A check fits the same rests some twenty times, so that each is made once, where it is first asked for.
+    """
+
+    def __init__(self, t: Array) -> None:
+        self.since = t - float(t[0]) if t.size else t
+        self._t = t
+
+    @cached_property
+    def flicker(self) -> Array:
+        """The covariance (n, n) of a flicker of size 1."""
+        return _flicker(np.abs(self._t[:, None] - self._t))
+
+    @cached_property
+    def flicker_since(self) -> Array:
+        """The same by times that count from the first rest, rounded otherwise."""
+        return _flicker(np.abs(self.since[:, None] - self.since))
+
+    @cached_property
+    def walk(self) -> Array:
+        """The covariance (n, n) of a walk of size 1 that begins at the first rest."""
+        return np.minimum(self.since[:, None], self.since)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +132,7 @@ class Observations:
     more: Array | float = 0.0
     linear: Callable[[Array], tuple[Array, Array, Array]] | None = None
     near: Array | float = 0.0
+    spans: Spans | None = None
 
     def about(self, biases: Array) -> Observations:
         """Return the observations made linear about biases (n, 3), one for each rest."""
@@ -212,6 +244,7 @@ class Regression:
     """The regression of one set of observations, with or without a curve of temperature."""
 
     def __init__(self, seen: Observations, model: Model) -> None:
+        self._spans = seen.spans or Spans(seen.t)
         self._seen, self._priors, self._model = seen, model.priors, model
         basis = curve_basis(seen.celsius, model.reference)
         if seen.towards is not None:
@@ -222,11 +255,10 @@ class Regression:
         self._prior = np.concatenate((seen.level_sd, prior)) ** 2
         self._fixed = (self._design * self._prior) @ self._design.T
         self._shared = 1.0 if seen.towards is None else seen.towards @ seen.towards.T
-        apart = np.abs(seen.t[:, None] - seen.t)
         self._start = float(seen.t[0])
-        since = seen.t - self._start
-        self._flicker = _flicker(apart) * self._shared
-        self._walk = np.minimum(since[:, None], since) * self._shared
+        self._flicker = self._spans.flicker * self._shared
+        self._walk = self._spans.walk * self._shared
+        self._room = np.empty_like(self._walk)
         self._axes = axes
 
     def fit(
@@ -266,7 +298,7 @@ class Regression:
         """Write the covariance of all values into `total` (n, n)."""
         np.multiply(self._flicker, wander.flicker**2, out=total)
         total += self._fixed
-        total += wander.walk**2 * self._walk
+        total += np.multiply(self._walk, wander.walk**2, out=self._room)
         for step in steps:
             after = (self._seen.t >= step.t).astype(float)
             total += step.sd**2 * np.outer(after, after) * self._shared
@@ -278,9 +310,8 @@ class Regression:
         if seen.towards is None:
             return frozen(np.empty((0, 3)))
         basis = curve_basis(seen.celsius, self._model.reference) * self._model.with_curve
-        since = seen.t - self._start
         shared = seen.level_sd[0] ** 2 + (basis * np.square(self._priors.curve)) @ basis.T
-        shared = shared + wander.covariance(since, since)
+        shared = shared + wander.over(self._spans)
         for step in steps:
             after = (seen.t >= step.t).astype(float)
             shared = shared + step.sd**2 * np.outer(after, after)

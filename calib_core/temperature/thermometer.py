@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 
@@ -74,7 +75,7 @@ class Thermometer:
 
     def _joined(self, t: Array, celsius: Array) -> Thermometer:
         """Return the first reading of every cell, these and further ones (n,) taken together."""
-        known = np.isfinite(celsius)
+        known = _first_of_cells(t, celsius)
         times = np.concatenate((self.t, t[known]))
         values = np.concatenate((self.celsius, celsius[known]))
         if (times[1:] < times[:-1]).any():
@@ -120,6 +121,19 @@ class Thermometer:
         rise = (celsius - heard.celsius[own])[:, None]
         answered = -np.expm1(-past) / np.maximum(past, 1e-12)
         return frozen(celsius[:, None] + behind[own] * np.exp(-past) - rise * answered)
+
+
+def _first_of_cells(t: Array, celsius: Array) -> NDArray[np.intp]:
+    """Return the places of known readings (n,) that may be the first of their cells.
+
+    These are one for each cell if t is in order: later ones are never kept.
+    """
+    known = np.flatnonzero(np.isfinite(celsius))
+    own = t if known.size == t.size else t[known]
+    if (own[1:] < own[:-1]).any():
+        return known
+    cells = np.floor(own / CELL_S)
+    return known[np.flatnonzero(np.diff(cells, prepend=-np.inf) > 0)]
 
 
 def felt(celsius: Array, lagged: Array | None, lag_s: float, lags_s: tuple[float, ...] = LAGS_S) -> Array:
