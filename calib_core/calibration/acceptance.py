@@ -8,6 +8,7 @@ log scores (Fisher 1935, The Design of Experiments, section 21).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
@@ -29,6 +30,7 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 
+_PATTERNS_AT_ONCE = 128
 _ALL_SIGN_PATTERNS = 12
 """Up to this many attitudes all 2^n sign patterns are tried, 4096 at most; beyond it 4096 are drawn, which
 leaves a standard error of 0.0024 on a chance of 0.025."""
@@ -235,11 +237,18 @@ def beyond_doubt(gains: Array) -> bool:
 
 def flipped_share(gains: Array) -> float:
     """Return the share of sign patterns, all or 4096 drawn ones, whose sum reaches that of `gains`."""
-    n = gains.size
-    if n <= _ALL_SIGN_PATTERNS:
-        signs = 1 - 2 * (np.arange(2**n)[:, None] >> np.arange(n) & 1)
-    else:
-        drawn = np.random.default_rng(n).integers(0, 2, (2**_ALL_SIGN_PATTERNS, n))
-        signs = np.vstack((np.ones(n, dtype=np.int64), 1 - 2 * drawn))
     rounding = 1e-12 * float(np.abs(gains).sum())  # so that the unchanged pattern counts, whatever its sign
-    return float(np.mean(signs @ gains >= gains.sum() - rounding))
+    reached = [signs @ gains >= gains.sum() - rounding for signs in _sign_patterns(gains.size)]
+    return float(np.mean(np.concatenate(reached)))
+
+
+def _sign_patterns(n: int) -> Iterator[Array]:
+    """Yield patterns of n signs, (m, n), some at a time: those of a month's hours would fill megabytes."""
+    if n <= _ALL_SIGN_PATTERNS:
+        yield np.asarray(1.0 - 2.0 * (np.arange(2**n)[:, None] >> np.arange(n) & 1), dtype=np.float64)
+        return
+    yield np.ones((1, n))
+    generator = np.random.default_rng(n)
+    for _ in range(2**_ALL_SIGN_PATTERNS // _PATTERNS_AT_ONCE):
+        drawn = generator.integers(0, 2, (_PATTERNS_AT_ONCE, n))
+        yield np.asarray(1.0 - 2.0 * drawn, dtype=np.float64)

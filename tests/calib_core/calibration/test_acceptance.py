@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from itertools import product
 
 import numpy as np
@@ -246,3 +247,15 @@ def test_the_unchanged_pattern_is_among_those_that_reach_the_sum(sign: float) ->
     """All gains of one sign: one pattern in 2^n reaches the sum from above, and all of them from below."""
     gains = sign * np.array([0.1, 0.2, 0.3, 0.7, 0.9])
     assert flipped_share(gains) == (1 / 32 if sign > 0 else 1.0)
+
+
+def test_the_signs_of_a_months_hours_take_little_memory() -> None:
+    gains = np.random.default_rng(0).normal(0.2, 1.0, 700)
+    drawn = np.random.default_rng(700).integers(0, 2, (4096, 700))
+    signs = np.vstack((np.ones(700, dtype=np.int64), 1 - 2 * drawn))
+    tracemalloc.start()
+    share = flipped_share(gains)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert share == np.mean(signs @ gains >= gains.sum() - 1e-9)
+    assert peak < 4e6
