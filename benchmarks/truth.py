@@ -2,7 +2,8 @@
 
 `python benchmarks/truth.py --phones 40 --days 7 --jobs 2` prints the tables; `--phones 1 --days 3` takes
 about a minute. Every ten minutes after the first calibration, what each contender would tell is compared with
-the truth. `--no-thermometer` withholds the temperatures; the rivals need them, and do not take part.
+the truth. `--no-thermometer` withholds the temperatures; the rivals need them, and do not take part. With
+`--freezes DAY` the thermometer shows one reading from then on.
 """
 
 # ruff: noqa: E402 - the number of threads is read when numpy is first imported
@@ -25,7 +26,7 @@ from timing import Row
 from truth_phones import MG, RATE_HZ, live
 from truth_rivals import DAY_S, DailyFit, OffsetTable, Vqf
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.engine.engine import Engine
@@ -91,6 +92,16 @@ def without_thermometer(chunk: Chunk) -> Chunk:
     """Return a chunk whose temperatures are withheld."""
     accel, gyro = (
         None if samples is None else replace(samples, temperature=None)
+        for samples in (chunk.accelerometer, chunk.gyroscope)
+    )
+    assert accel is not None
+    return replace(chunk, accelerometer=accel, gyroscope=gyro)
+
+
+def standing_still(chunk: Chunk, celsius: float) -> Chunk:
+    """Return a chunk whose thermometer shows one reading, degC."""
+    accel, gyro = (
+        None if samples is None else replace(samples, temperature=frozen(np.full(len(samples), celsius)))
         for samples in (chunk.accelerometer, chunk.gyroscope)
     )
     assert accel is not None
@@ -218,13 +229,21 @@ def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> 
     return float(np.linalg.norm(told - _FORCE @ rotation.T, axis=1).mean() / MG)
 
 
-def moments(number: int, seed: int, days: float, thermometer: bool = True) -> tuple[np.ndarray, str, Cost]:
-    """Live one life with all contenders; return its moments, of dtype MOMENT, and a line on each engine."""
-    life, contest, rows = live(number, seed, days), Contest(), []
-    for chunk in life.simulation.chunks(EVERY_S):
+def moments(
+    number: int, seed: int, days: float, thermometer: bool = True, freezes: float = np.inf
+) -> tuple[np.ndarray, str, Cost]:
+    """Live one life with all contenders; return its moments, of dtype MOMENT, and a line on each engine.
+
+    freezes: day from which on the thermometer shows one reading.
+    """
+    life, contest, rows, shown = live(number, seed, days), Contest(), [], np.nan
+    for true_chunk in life.simulation.chunks(EVERY_S):
+        still = true_chunk.t_end > freezes * DAY_S
+        chunk = standing_still(true_chunk, shown) if still else true_chunk
         contest.feed(chunk if thermometer else without_thermometer(chunk))
         assert chunk.accelerometer.temperature is not None
         t, celsius, met = chunk.t_end, float(chunk.accelerometer.temperature[-1]), contest.met
+        shown = celsius
         outside = max(min(met) - celsius, celsius - max(met), 0.0) if met else np.nan
         for a in contest.answers(t, celsius if thermometer else None) if contest.calibrated else ():
             truth = life.bias_at(a.sensor, t)
@@ -314,15 +333,22 @@ def _share_held(rows: np.ndarray) -> float:
 
 
 def measured(
-    phones: int, days: float, seed: int, jobs: int, *, first: int = 0, thermometer: bool = True
+    phones: int,
+    days: float,
+    seed: int,
+    jobs: int,
+    *,
+    first: int = 0,
+    thermometer: bool = True,
+    freezes: float = np.inf,
 ) -> tuple[np.ndarray, list[str], list[Cost]]:
     """Live all lives, `jobs` at once; return the moments, a line for each phone, and what each took."""
     numbers = range(first, first + phones)
     if jobs == 1:
-        answers = [moments(number, seed, days, thermometer) for number in numbers]
+        answers = [moments(number, seed, days, thermometer, freezes) for number in numbers]
     else:
         with ProcessPoolExecutor(jobs) as pool:
-            how = ([value] * phones for value in (seed, days, thermometer))
+            how = ([value] * phones for value in (seed, days, thermometer, freezes))
             answers = list(pool.map(moments, numbers, *how))
     rows, lines, costs = zip(*answers, strict=True)
     return np.concatenate(rows), list(lines), list(costs)
@@ -403,6 +429,7 @@ def _costs(costs: list[Cost]) -> Iterator[Row]:
 @click.option("--seed", default=0, show_default=True)
 @click.option("--jobs", default=1, show_default=True)
 @click.option("--thermometer/--no-thermometer", default=True, help="Withhold the temperatures.")
+@click.option("--freezes", default=np.inf, help="Day from which on the thermometer shows one reading.")
 @click.option("--npz", help="Keep every moment in this file.")
 def main(**how: Any) -> None:
     """Print the tables."""

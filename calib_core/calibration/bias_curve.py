@@ -18,7 +18,13 @@ from functools import partial
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.acceptance import beyond_doubt, flipped_share, sums_by_block
+from stillcal.calib_core.calibration.acceptance import (
+    ENOUGH_GAIN,
+    MOST_GAIN,
+    beyond_doubt,
+    flipped_share,
+    sums_by_block,
+)
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.driver import Driver, by_charger, by_thermometer
 from stillcal.calib_core.calibration.record import (
@@ -87,7 +93,8 @@ class Learnt:
     evidence: the figures of that decision. covariance: (9, 9) of bias and scale, as an accelerometer's record
     has it, else None. t, errors, errors_sd: (n,) times of the rests, s, errors of predicting each from those
     before it, and standard uncertainties of the predictions. steps: s, the rests at which the bias stepped.
-    doubted: s, the rests that disagree with those before and after them.
+    doubted: s, the rests that disagree with those before and after them. doubt: why the readings that a curve
+    followed are believed no longer, empty where that is not why it was dropped.
     """
 
     sensor: Sensor
@@ -103,12 +110,15 @@ class Learnt:
     errors_sd: Array
     steps: tuple[float, ...] = ()
     doubted: tuple[float, ...] = ()
+    doubt: str = ""
 
     @property
     def reason(self) -> str:
         """The decision on the curve in a sentence."""
         figures, unit = self.evidence, EFFECTS[self.sensor][1]
         driver = "charging" if self.forecast.by_charger else "temperature"
+        if self.doubt:
+            return f"{self.sensor}: bias by {driver} {self.change}: {self.doubt}"
         return (
             f"{self.sensor}: bias by {driver} {self.change}: over {figures['hours']} hours, rests "
             f"are typically predicted to {figures['typical_with']:.2g} {unit} with it, "
@@ -261,6 +271,11 @@ def _learn_by(
         _wider(seen, term), replace(model, with_curve=True), t, before
     )
     change, evidence = _change(curved, without, seen, term is not None, settings)
+    misled = _misled(curved, without, seen.t)
+    if misled > ENOUGH_GAIN:
+        return _unguided(sensor, without, seen, driver, middle=middle, term=term, t=t)
+    if change == TAKEN_UP and misled > 0.0:
+        change = ""
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
     behind = seen.celsius - driver.read
     known_behind = behind[np.isfinite(behind) & (behind != 0.0)]
@@ -280,6 +295,47 @@ def _learn_by(
         change=change,
         evidence=evidence,
     )
+
+
+def _misled(curved: Fit, without: Fit, t: Array) -> float:
+    """Return how strongly the newest rests speak against the readings, nats, 0 where they do not.
+
+    Page's test (1954, 10.1093/biomet/41.1-2.100) on the predictive density of each rest without the curve and
+    with it; a step costs what it costs in the regression. Where the curve holds, the result exceeds
+    ENOUGH_GAIN once in some exp(ENOUGH_GAIN) rests. t: (n,) s, of the rests.
+    """
+    gains = _log_density(without, t) - _log_density(curved, t)
+    gains[[0, *without.doubted, *curved.doubted]] = 0.0
+    against = 0.0
+    for gain in np.minimum(gains, MOST_GAIN).tolist():
+        against = min(max(against + gain, 0.0), 2.0 * ENOUGH_GAIN)
+    return against
+
+
+def _log_density(fit: Fit, t: Array) -> Array:
+    """Return the log density of each rest by those before it, (n,), less the cost of a step there."""
+    missed = (fit.errors / fit.errors_sd[:, None]) ** 2
+    density = -0.5 * missed.sum(axis=1) - fit.errors.shape[1] * np.log(fit.errors_sd)
+    stepped = np.isin(t, [step.t for step in fit.steps])
+    return np.asarray(density - np.log(len(t)) * stepped)
+
+
+def _unguided(
+    sensor: Sensor,
+    without: Fit,
+    seen: Observations,
+    driver: Driver,
+    *,
+    middle: Array,
+    term: Term | None,
+    t: float,
+) -> Learnt:
+    """Return the bias where the readings mislead: what there is without them, and nothing follows them."""
+    forecast = _forecast(without, without, driver, seen.celsius, t)
+    learnt = partial(_learnt, sensor, without, t=seen.t, middle=middle, forecast=forecast, term=None)
+    if term is None:
+        return learnt(change="", evidence={})
+    return replace(learnt(change=DROPPED, evidence={}), doubt="rests are predicted worse by its readings")
 
 
 def _wider(seen: Observations, term: Term | None) -> Observations:
@@ -305,7 +361,8 @@ def _undecided(
     """Return the bias where the rests' temperatures decide nothing: a term that is held stays as it is.
 
     Where the newest rest's temperature is unknown, the term is not applied: the bias is that of now, whatever
-    the temperature may be. Where the temperatures are known and all alike, the bias at others is as uncertain
+    the temperature may be. Where the thermometer goes on to tell others that cannot be, the term is dropped.
+    Where the temperatures are known and all alike, the bias at others is as uncertain
     as the term held, or without one as a sensor's usually is.
     """
     known_now, told = np.isfinite(driver.read[-1]), np.zeros((POWERS, 3))
@@ -319,7 +376,10 @@ def _undecided(
         curved = learn(seen, replace(model, priors=priors, with_curve=True), t, fit.wander)
     forecast = _forecast(fit, curved, driver, seen.celsius, t)
     forecast = replace(forecast, curve=frozen(forecast.curve + told))
-    return _learnt(sensor, fit, t=seen.t, middle=middle, forecast=forecast, term=term, change="", evidence={})
+    learnt = partial(_learnt, sensor, fit, t=seen.t, middle=middle, forecast=forecast, evidence={})
+    if term is not None and driver.lies:
+        return replace(learnt(term=None, change=DROPPED), doubt="its newest readings are far from all others")
+    return learnt(term=term, change="")
 
 
 def _after(priors: Priors, before: Forecast | None) -> Priors:

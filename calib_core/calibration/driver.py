@@ -33,18 +33,24 @@ _ENOUGH_LAGGED = 0.3
 """Share of rests of known lagged temperature from which on a lag is considered."""
 
 
+_NEWEST = 2
+"""Newest rests that must have doubtful readings for the thermometer to be doubted: one may be a slip."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Driver:
     """Temperatures of the rests kept: the thermometer's, or those that the charger stands in for.
 
     read: (n,) readings, NaN where unknown; degC, or K above a phone off the charger. lagged: (n, k) those of
-    sensors that follow with each of lags_s. by_charger: a bias then follows as a straight line.
+    sensors that follow with each of lags_s. by_charger: a bias then follows as a straight line. lies: whether
+    the newest readings are doubted.
     """
 
     read: Array
     lagged: Array
     lags_s: tuple[float, ...] = LAGS_S
     by_charger: bool = False
+    lies: bool = False
 
     @property
     def known(self) -> Array:
@@ -135,7 +141,9 @@ class Driver:
 def by_thermometer(memory: Memory) -> Driver:
     """Return the thermometer, without readings that are doubted."""
     read = plausible(memory.celsius)
-    return Driver(read, np.where(np.isfinite(read)[:, None], memory.lagged, np.nan))
+    doubted = np.isfinite(memory.celsius) & ~np.isfinite(read)
+    lagged = np.where(np.isfinite(read)[:, None], memory.lagged, np.nan)
+    return Driver(read, lagged, lies=bool(doubted[-_NEWEST:].all()))
 
 
 def by_charger(memory: Memory) -> Driver:

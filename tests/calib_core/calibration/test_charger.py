@@ -137,9 +137,9 @@ def test_a_term_is_dropped_when_the_charger_has_no_effect_any_more() -> None:
     events = plugged(3)
     bias = np.outer(heat(events) * (T < 24 * HOUR), FULL_RATE)
     record, changes = followed(bias, events, 3)
-    assert [change.split(" over ")[0] for change in changes] == [
-        f"gyroscope: bias by charging {TAKEN_UP}:",
-        f"gyroscope: bias by charging {DROPPED}:",
+    assert [change.split(": ")[1] for change in changes] == [
+        f"bias by charging {TAKEN_UP}",
+        f"bias by charging {DROPPED}",
     ]
     assert record.terms == ()
 

@@ -193,6 +193,45 @@ def test_a_thermometer_that_turns_wild_has_its_curve_dropped() -> None:
 
 
 @pytest.mark.parametrize(
+    ("read", "doubt"),
+    [
+        (lambda t, celsius: 27.0, "predicted worse"),
+        (lambda t, celsius: celsius + 40.0, "far from all others"),
+        (lambda t, celsius: 20.0 + 7 * np.cos(t / 5e3), "predicted worse"),
+    ],
+    ids=["freezes", "lies by 40 K", "tells another chip's"],
+)
+def test_a_thermometer_that_fails_is_believed_no_longer_after_two_checks(
+    read: Callable[[float, float], float], doubt: str
+) -> None:
+    """The bias stated is then the same at any temperature. Later the thermometer is believed again."""
+
+    def failing(t: float, celsius: float) -> float:
+        return read(t, celsius) if 20 * HOUR < t < 26 * HOUR else celsius
+
+    record, learnt_at, held = gyroscope_record(), {}, []
+    memory = Memory()
+    for number, rest in enumerate(lived(34.0, read=failing)):
+        t, at = rest.t_start, np.array([rest.temperature])
+        if 22 * HOUR < t < 26 * HOUR:
+            error = rest.rate - record.gyroscope.bias - np.ravel(bias_terms(record, GYRO, at))
+            held += (np.abs(error) < 1.96 * record.bias_uncertainty_at(GYRO, t, at[0])).tolist()
+        memory = memory.with_rest(rest, G)
+        if number % 3 == 2:
+            learnt = learn_gyroscope(memory, record, rest.t_end, SETTINGS)
+            assert learnt is not None
+            record = with_learnt_gyroscope(record, learnt, rest.t_end)
+            learnt_at[rest.t_end / HOUR] = learnt
+    hour, first = next((h, learnt) for h, learnt in learnt_at.items() if learnt.change == DROPPED)
+    assert 20.0 < hour < 22.0 and doubt in first.reason
+    cold, hot = (first.forecast.bias_uncertainty(21 * HOUR, c) for c in (20.0, 70.0))
+    assert cold == pytest.approx(hot)
+    print(f"{np.mean(held):.0%} of the 95 % intervals hold")
+    assert np.mean(held) > 0.75
+    assert [hour for hour, learnt in learnt_at.items() if learnt.change == TAKEN_UP][-1] < 30.0
+
+
+@pytest.mark.parametrize(
     "read",
     [
         lambda t, celsius: round(celsius),
