@@ -71,6 +71,9 @@ Event: TypeAlias = Charging | Location
 NO_JSON = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 """What decoding raises on what is no JSON of the kind that is asked for, or is too deep."""
 
+_MOST_WRITTEN = 1 << 26
+"""Bytes: nothing that a command writes as JSON is longer."""
+
 _LONGEST_LIST = 16
 _json = json.JSONDecoder()
 _KNOWN: dict[str, type[Charging] | type[Location]] = {"charging": Charging, "location": Location}
@@ -146,7 +149,7 @@ def claimed_gravity(claims: Claims, events: Iterable[Event], path: Path) -> floa
 def written_by_stillcal(path: Path) -> bool:
     """Whether a file is JSON with the number of a schema, as stores, calibrations and diagnoses have."""
     try:
-        return msgspec.json.decode(read_regular(path, MOST_BYTES), type=_Written).schema is not None
+        return msgspec.json.decode(read_regular(path, _MOST_WRITTEN), type=_Written).schema is not None
     except (OSError, *NO_JSON):
         return False
 

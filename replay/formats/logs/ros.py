@@ -8,6 +8,7 @@ alone is paired with one of rates alone, as depth cameras publish them.
 from __future__ import annotations
 
 import os
+import struct
 import tempfile
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -15,7 +16,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Protocol
 
 import msgspec
 import numpy as np
@@ -46,6 +47,10 @@ _SHOWN = 3
 """Spans of some seconds that must show rates to be in deg/s, against REP 145."""
 
 _NS = 1e-9
+_MCAP_HEAD = struct.Struct("<BQ")
+_FARTHEST = 1 << 62
+"""Bytes: no file is so long."""
+
 _MCAP_MAGIC = b"\x89MCAP0\r\n"
 """Begins a file, and ends one that was completed."""
 
@@ -212,7 +217,7 @@ class _Mcap:
         schemas: dict[int, Any] = {}
         channels: dict[int, Any] = {}
         with self._stored.open() as file, suppress(EndOfFile):
-            for record in StreamReader(file).records:
+            for record in StreamReader(_Upto(file, _end_of_records(file))).records:  # type: ignore[arg-type]
                 if isinstance(record, records.Schema):
                     schemas[record.id] = record
                 elif isinstance(record, records.Channel):
@@ -220,6 +225,32 @@ class _Mcap:
                 elif isinstance(record, records.Message):
                     channel = channels[record.channel_id]
                     yield schemas.get(channel.schema_id), channel, record
+
+
+def _end_of_records(file: BinaryIO) -> int:
+    """Return where a file's records end, or zeros begin, as a disk leaves them after a crash; bytes."""
+    at, head = len(_MCAP_MAGIC), b""
+    while at < _FARTHEST:
+        file.seek(at)
+        head = file.read(_MCAP_HEAD.size)
+        if len(head) < _MCAP_HEAD.size or not head[0]:
+            break
+        at += _MCAP_HEAD.size + _MCAP_HEAD.unpack(head)[1]
+    file.seek(0)
+    return at
+
+
+class _Upto:
+    """Reads a file up to a place."""
+
+    def __init__(self, file: BinaryIO, end: int) -> None:
+        self._file, self._left = file, end
+
+    def read(self, size: int) -> bytes:
+        """Read so many bytes at most."""
+        data = self._file.read(min(size, self._left))
+        self._left -= len(data)
+        return data
 
 
 def _type(schema: Any) -> str:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.claims import Claims, written_by_stillcal
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.arrays import mapped, open_arrays
@@ -194,6 +194,9 @@ def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
 
 def _json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
     """Return the log of JSON records, or of the arrays in one JSON object. Raises TraceError."""
+    if source.local is not None and written_by_stillcal(source.local):
+        what = "is a calibration, a store or a diagnosis that stillcal wrote, not a recording"
+        raise TraceError(source.path, what, "give the recording that it was made from")
     tables = json_tables(source)
     if not tables:
         return open_arrays(source, magic.JSON, column_map)

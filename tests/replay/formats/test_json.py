@@ -250,6 +250,7 @@ def test_a_file_cut_short_is_refused(tmp_path: Path, pack: Pack) -> None:
     [
         ('{"temperature": [1, 2, 3], "name": "x"}', "no accelerometer found in its arrays"),
         ("[]", "no records"),
+        ('{"schema": 1, "accelerometer": {"bias": [0, 0, 0]}}', "is a calibration, a store or a diagnosis"),
         ("{}", "no accelerometer found"),
         ('{"a":' * 100_000, "is not JSON"),
         ("[" * 100_000, "the JSON ends within a record"),

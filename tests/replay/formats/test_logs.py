@@ -393,3 +393,20 @@ def test_arrays_of_unequal_lengths_are_not_put_side_by_side_in_silence(tmp_path:
     assert read_all(path).notes[-1].endswith("the first 600 rows are read; left out: gyr")
     np.savez(path, acc=force, gyr=rate, t=t, mag_t=t[::4], acc_left=force[:300])
     assert len(read_all(path).accelerometer) == 600
+
+
+def test_zeros_after_the_records_of_an_mcap_file_are_not_read(tmp_path: Path) -> None:
+    store, path = get_typestore(Stores.ROS2_HUMBLE), tmp_path / "crashed.mcap"
+    with path.open("wb") as file:
+        writer = McapWriter(file, use_chunking=False)
+        writer.start()
+        channel = writer.register_channel("/imu", "cdr", writer.register_schema(IMU, "ros2msg", b""))
+        for row in DATA:
+            ns = round((1000 + row[0]) * 1e9)
+            message = store.serialize_cdr(imu_message(store, row), IMU)
+            writer.add_message(channel, ns, message, ns)
+    with path.open("r+b") as file:
+        file.truncate(10 << 30)
+    recording = read_all(path)
+    np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4])
+    assert any("up to where it breaks off" in note for note in recording.notes)
