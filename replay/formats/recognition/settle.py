@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import BOTH, LoggedSensor, Part
 from stillcal.replay.formats.recognition.names import (
     KNOWN_UNITS,
+    SENSOR_WORDS,
     Axes,
     Stamps,
     find_axes,
@@ -69,11 +71,15 @@ _STEADIER = 3.0
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """Columns of one accelerometer, with those of its gyroscope and those that may be its time."""
+    """Columns of one accelerometer, with those of its gyroscope and those that may be its time.
+
+    rate_stamps: the gyroscope's own, where their names say so; then it is read as a table of its own.
+    """
 
     accelerometer: Axes
     gyroscope: Axes | None
     stamps: Sequence[Stamps]
+    rate_stamps: Sequence[Stamps] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,11 +148,14 @@ def _readable(candidates: Sequence[tuple[_Candidate, OneSensor, OneSensor | None
 
 def _paired(names: Sequence[str]) -> list[_Candidate]:
     """Return each accelerometer of a table, with its gyroscope and the columns that may be its time."""
-    stamps = find_stamps(names)
+    rate_stamps = [s for s in find_stamps(names) if SENSOR_WORDS[Sensor.GYROSCOPE] & set(s.label.split("_"))]
+    stamps = [s for s in find_stamps(names) if s not in rate_stamps]
     found = []
     for accelerometer, gyroscope in _pairs(find_axes(names)):
         own = [s for s in stamps if s.label in ("", accelerometer.label)]
-        found.append(_Candidate(accelerometer, gyroscope, own + [s for s in stamps if s not in own]))
+        ordered = own + [s for s in stamps if s not in own]
+        apart = [s for s in rate_stamps if gyroscope is not None and gyroscope.label in s.label]
+        found.append(_Candidate(accelerometer, gyroscope, ordered or rate_stamps, apart if ordered else ()))
     return found
 
 
@@ -198,6 +207,8 @@ def _sensor(
 ) -> LoggedSensor:
     probe = _Probe(table)
     accelerometer, gyroscope = candidate.accelerometer, candidate.gyroscope
+    if gyroscope is not None and candidate.rate_stamps:
+        rates, gyroscope = OneSensor(copy(table), base, rate_hz), None
     time, time_said = _time(table, probe, candidate.stamps, rate_hz)
     force_unit, force_said = _force_unit(table.path, probe, accelerometer)
     chosen: dict[str, Any] = {
@@ -224,20 +235,22 @@ def _sensor(
     sensors = [Sensor.ACCELEROMETER] + ([] if gyroscope is None else [Sensor.GYROSCOPE])
     parts, notes = [Part(table, column_map, sensors)], [note]
     if gyroscope is None and rates is not None:
-        own, told = _rates_apart(rates, parts[0], force_unit)
+        own, told = _rates_apart(rates, parts[0], force_unit, candidate)
         parts, notes = [*parts, own], [*notes, told]
     about = "accelerometer" + ("" if gyroscope is None and rates is None else ", gyroscope")
     return LoggedSensor.of(accelerometer.label or "imu", parts, about, notes)
 
 
-def _rates_apart(rates: OneSensor, force: Part, force_unit: str) -> tuple[Part, str]:
+def _rates_apart(rates: OneSensor, force: Part, force_unit: str, candidate: _Candidate) -> tuple[Part, str]:
     """Return the gyroscope that a table of its own holds, and how to say it. Raises TraceError."""
     table = rates.table
-    axes = next((a for a in find_axes(table.names or ()) if a.sensor is Sensor.GYROSCOPE), None)
+    first = next((a for a in find_axes(table.names or ()) if a.sensor is Sensor.GYROSCOPE), None)
+    axes = candidate.gyroscope or first
     if axes is None:
         remedy = "name its columns gyr_x, gyr_y, gyr_z, or give a column map (docs/formats.md)"
         raise TraceError(table.path, "no gyroscope found by its names", remedy, table.header_line)
-    time, time_said = _time(table, _Probe(table), find_stamps(table.names or ()), rates.rate_hz)
+    stamps = candidate.rate_stamps or find_stamps(table.names or ())
+    time, time_said = _time(table, _Probe(table), stamps, rates.rate_hz)
     chosen: dict[str, Any] = {
         "time": time,
         "accelerometer": SensorMap(columns=axes.columns, unit="m/s^2"),  # which is not read

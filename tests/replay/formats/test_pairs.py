@@ -218,3 +218,20 @@ def test_of_several_files_that_with_the_most_alike_name_is_taken(tmp_path: Path)
     assert {name: rates_file(tmp_path / name).name for name in pairs} == {
         n: names[i] for n, i in pairs.items()
     }
+
+
+@pytest.mark.parametrize("header", ["acc_time,{a},gyr_time,{g}", "timestamp,{a},gyro_timestamp,{g}"])
+def test_a_gyroscope_with_a_column_of_its_own_times_is_read_by_it(tmp_path: Path, header: str) -> None:
+    names = header.format(a="acc_x,acc_y,acc_z", g="gyr_x,gyr_y,gyr_z")
+    table = np.column_stack([T[:400], FORCE[:400], LATER, RATE[:400]])
+    (tmp_path / "walk.csv").write_text(text(names, table))
+    recording = read_all(tmp_path / "walk.csv")
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE[:400])
+    np.testing.assert_array_equal(recording.gyroscope.xyz, RATE[:400])
+    np.testing.assert_allclose(recording.accelerometer.t, T[:400])
+    np.testing.assert_allclose(recording.gyroscope.t, LATER)
+    other = np.column_stack([T[:400], FORCE[:400], LATER + 1.7e9, RATE[:400]])
+    (tmp_path / "walk.csv").write_text(text(names, other))
+    with pytest.raises(TraceError, match="do not overlap those of the accelerometer"):
+        read_all(tmp_path / "walk.csv")
