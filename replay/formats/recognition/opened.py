@@ -24,7 +24,7 @@ from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, Lo
 from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, rates_alone
 from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
-from stillcal.replay.formats.recognition.row_sensors import sensors_of_rows
+from stillcal.replay.formats.recognition.row_sensors import refuse_devices_in_turn, sensors_of_rows
 from stillcal.replay.formats.recognition.settle import COUNTED_WIDTHS, OneSensor, settled, settled_apart
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
@@ -176,6 +176,8 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
         return Log(source.path, "text table", sensors, beside=source.local)
     if form.name == UNKNOWN:
         return _by_names(source, form, gyro)
+    if form.name == "csv":
+        refuse_devices_in_turn(TextTable(source, form.column_map))
     said = f" ({form.said})" if form.said else ""
     notes = [] if form.name == "csv" else [f"{source.path.name}: read as {form.name}{said}"]
     return _mapped(source, form, gyro, notes)
@@ -206,6 +208,8 @@ def _json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
         return Log(source.path, magic.JSON, settled_apart(own), beside=source.local)
     table, opened = own[0].table, next(iter(tables.values()))
     if column_map is not None or is_own(table.names or []):
+        if column_map is None:
+            refuse_devices_in_turn(opened())
         return Log(source.path, magic.JSON, mapped(table, base), beside=source.local)
     rows = sensors_of_rows(opened, base)
     log = Log(source.path, magic.JSON, rows, beside=source.local) if rows else None

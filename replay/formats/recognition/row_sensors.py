@@ -6,16 +6,22 @@ accelerometer or a gyroscope, as `accelerometer.x` is.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from stillcal.replay.formats.columns import ColumnMap
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, LoggedSensor
 from stillcal.replay.formats.recognition.names import find_axes, qualified, rates_alone, spaced
 from stillcal.replay.formats.recognition.settle import OneSensor, settled_apart
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.chosen import ChosenRows, TableWithTexts
 from stillcal.replay.formats.tables.dates import is_date
+
+_RARELY = 0.2
+"""Share of rows at which a text changes, and share of rows that have a text of their own, at most, where rows
+are of one device, and where a text is a device's name."""
 
 
 def sensors_of_rows(
@@ -28,6 +34,8 @@ def sensors_of_rows(
     """
     table = opened()
     place, texts = _naming(table)
+    if place is not None or find_axes(table.names or []):
+        refuse_devices_in_turn(table, place)
     if place is None:
         return []
     names = {text: qualified(table.names or [], spaced(text)) for text in texts}
@@ -49,9 +57,34 @@ def _naming(table: TableWithTexts) -> tuple[int | None, Sequence[str]]:
     if find_axes(names) or len(names) != len(table.first_row):
         return None, ()
     for place, cell in enumerate(table.first_row):
-        if is_number(cell.strip().encode()) or is_date(cell.strip().encode()):
+        if _is_value(cell):
             continue
         texts = [text for text in table.texts(place) or [] if text != names[place]]  # of a repeated header
         if any(find_axes(qualified(names, spaced(text))) for text in texts):
             return place, texts
     return None, ()
+
+
+def refuse_devices_in_turn(table: TableWithTexts, naming: int | None = None) -> None:
+    """Raise TraceError where the rows are of several devices in turn, which would be read as one.
+
+    A text that changes from row to row says so; what a person does lasts for many rows. naming: the place of
+    the column by which the sensors are told apart: only the rows of the first one are looked at.
+    """
+    rows = [row for row in table.opening if len(row) == table.width]
+    own = rows if naming is None else [row for row in rows if row[naming] == rows[0][naming]]
+    for place, column in enumerate(zip(*own, strict=True)):
+        texts = set(column)
+        if place == naming or not 2 <= len(texts) <= len(column) * _RARELY or any(map(_is_value, texts)):
+            continue
+        changes = sum(a != b for a, b in itertools.pairwise(column))
+        if changes > len(column) * _RARELY:
+            listed = ", ".join(sorted(texts)[:8])
+            what = f"rows of several devices in turn, by {table.column_name(place)}: {listed}"
+            remedy = "give the rows of one, or choose them in a column map ([select], docs/formats.md)"
+            raise TraceError(table.path, what, remedy, table.header_line)
+
+
+def _is_value(text: str) -> bool:
+    cell = text.strip().encode()
+    return is_number(cell) or is_date(cell) or cell.lower() in (b"true", b"false")

@@ -12,8 +12,14 @@ MOST_TEXTS = 64
 """Different texts of a column beyond which it does not name sensors."""
 
 
+OPENING_ROWS = 200
+"""Rows by whose texts it is seen whether they are of several devices in turn."""
+
+
 class TableWithTexts(Table, Protocol):
-    """A table some of whose columns hold texts."""
+    """A table some of whose columns hold texts. opening: the cells of its first OPENING_ROWS rows."""
+
+    opening: list[list[str]]
 
     def texts(self, place: int) -> list[str] | None:
         """Return the different texts of a column; None where it holds numbers, or more than MOST_TEXTS.

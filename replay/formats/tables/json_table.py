@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.tables.chosen import MOST_TEXTS
+from stillcal.replay.formats.tables.chosen import MOST_TEXTS, OPENING_ROWS
 from stillcal.replay.formats.tables.dates import Dates, NotADateError
 from stillcal.replay.formats.tables.json_records import Records
 from stillcal.replay.formats.tables.numbers import side_by_side
@@ -58,6 +58,8 @@ class JsonTable:
         listed = isinstance(rows[0], list) if rows else False
         self.names: list[str] | None = None if listed else [_called(path) for path in self._paths]
         self.width = len(self._paths)
+        columns = [_values(rows[:OPENING_ROWS], path) for path in self._paths]
+        self.opening = [["" if v is None else str(v) for v in row] for row in zip(*columns, strict=True)]
 
     def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:
         """Yield the fields at `places`, of the records that have the key's texts. Raises TraceError."""

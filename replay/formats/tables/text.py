@@ -31,7 +31,7 @@ from stillcal.replay.formats.tables.cells import (
     line_ends,
     read_numbers,
 )
-from stillcal.replay.formats.tables.chosen import MOST_TEXTS
+from stillcal.replay.formats.tables.chosen import MOST_TEXTS, OPENING_ROWS
 from stillcal.replay.formats.tables.compiled import compiled_reader
 from stillcal.replay.formats.tables.dates import Dates, NotADateError, is_date
 from stillcal.replay.formats.tables.plain import plain_text
@@ -89,6 +89,7 @@ class TextTable:
             kind = NoRowsError if self.names else TraceError
             raise kind(path, what, "give a recording with samples", self._skip or None)
         self.first_row = self._cells(rows[0])
+        self.opening = [self._cells(row) for row in rows[:OPENING_ROWS]]
         if self.names is not None:
             self.names = _as_wide_as(self.first_row, self.names)
         self.decimal = _decimal(self.first_row, column_map.decimal)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +149,43 @@ def test_a_column_of_what_a_person_does_names_no_sensor(tmp_path: Path) -> None:
     ]
     path.write_text("\n".join(["timestamp,x,y,z,activity", *lines]))
     np.testing.assert_array_equal(read_all(path).accelerometer.xyz, FORCE)
+
+
+def in_turn(header: str, cells: str, count: int = 600) -> list[str]:
+    """Return rows of two devices in turn, the second with axes x and z the other way."""
+    rows = [header]
+    for t, (x, y, z) in zip(T[:count].tolist(), FORCE[:count].tolist(), strict=True):
+        rows.append(cells.format(device="left", t=t, x=x, y=y, z=z))
+        rows.append(cells.format(device="right", t=t + 0.001, x=-x, y=y, z=-z))
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("header", "cells"),
+    [
+        ("imu,t,ax,ay,az", "{device},{t!r},{x!r},{y!r},{z!r}"),
+        ("timestamp,acc_x,acc_y,acc_z,side", "{t!r},{x!r},{y!r},{z!r},{device}"),
+        ("sensor,device,t,x,y,z", "accelerometer,{device},{t!r},{x!r},{y!r},{z!r}"),
+    ],
+)
+def test_devices_in_turn_are_not_read_as_one(tmp_path: Path, header: str, cells: str) -> None:
+    with pytest.raises(
+        TraceError, match=r"several devices in turn, by column '(imu|side|device)': left, right"
+    ):
+        read(tmp_path, in_turn(header, cells))
+    names = header.split(",")
+    lines = (zip(names, row.split(","), strict=True) for row in in_turn(header, cells)[1:])
+    (tmp_path / "walk.json").write_text("\n".join(json.dumps(dict(line)) for line in lines))
+    with pytest.raises(
+        TraceError, match=r"several devices in turn, by field '(imu|side|device)': left, right"
+    ):
+        read_all(tmp_path / "walk.json")
+
+
+@pytest.mark.parametrize(
+    "label", [lambda i: "walking" if i // 150 % 2 else "sitting", lambda i: str(i % 2 == 0)]
+)
+def test_what_a_person_does_and_flags_are_no_devices(tmp_path: Path, label: Callable[[int], str]) -> None:
+    rows = [f"{t!r},{x!r},{y!r},{z!r}" for t, (x, y, z) in zip(T.tolist(), FORCE.tolist(), strict=True)]
+    recording = read(tmp_path, ["t,ax,ay,az,label", *(f"{row},{label(i)}" for i, row in enumerate(rows))])
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
