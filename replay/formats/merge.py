@@ -108,6 +108,11 @@ class _Side:
             return np.inf
         return float(self.samples.t[-1]) if len(self.samples) else -np.inf
 
+    @property
+    def span(self) -> str:
+        """From when to when its samples are, as far as it is read, in words."""
+        return f"{self.first:.6g} s to {self.last:.6g} s" if self.ended else f"from {self.first:.6g} s on"
+
     def read_on(self) -> None:
         """Read one more block."""
         run = next(self._runs, None)
@@ -135,16 +140,19 @@ def _two(accelerometer: SampleFile, gyroscope: SampleFile) -> Iterator[Run]:
     while not all(side.ended for side in sides):
         behind = min(sides, key=lambda side: side.end)
         behind.read_on()
+        if any(side.ended for side in sides):
+            _refuse_apart(*sides)
         end = min(side.end for side in sides)
         yield {side.sensor: side.take_until(end) for side in sides}
-    _refuse_apart(*sides)
 
 
 def _refuse_apart(accelerometer: _Side, gyroscope: _Side) -> None:
-    """Raise TraceError where one file ends before the other begins: two recordings, or two clocks."""
+    """Raise TraceError where one file ended before the other begins: two recordings, or two clocks.
+
+    Nothing of the later one has been passed on then.
+    """
     if gyroscope.last < accelerometer.first < np.inf or accelerometer.last < gyroscope.first < np.inf:
-        spans = f"{gyroscope.first:.6g} to {gyroscope.last:.6g} s"
-        own = f"{accelerometer.first:.6g} to {accelerometer.last:.6g} s"
+        spans, own = gyroscope.span, accelerometer.span
         apart = "" if gyroscope.path == accelerometer.path else f" in {accelerometer.path.name}"
         whose = f"those of the accelerometer{apart}"
         what = f"the gyroscope's times, {spans}, do not overlap {whose}, {own}"

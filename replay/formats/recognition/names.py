@@ -196,6 +196,8 @@ _LONG_WORD = re.compile(
     rf"({'|'.join(sorted((w for w in _ACCELERATION | _RATE if len(w) > 8), key=len, reverse=True))})",
     re.IGNORECASE,
 )
+_WITH_GRAVITY = re.compile(r"_?(?:including|incl|with)[_ ]?g(?:ravity)?(?![a-z])", re.IGNORECASE)
+"""As browsers call what an accelerometer reads: accelerationIncludingGravity (W3C, Device Orientation)."""
 _TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
 
 
@@ -373,7 +375,7 @@ def _words(name: str) -> tuple[str, list[str]]:
     """Return what stands in brackets and the words before, in small letters."""
     brackets = [b.strip().lower() for b in _BRACKETS.findall(name)]
     plain = _BRACKETS.sub(" ", name.lstrip("#"))
-    plain = plain.replace("gF", "gf").replace("IMU", "imu")
+    plain = _WITH_GRAVITY.sub(" total", plain.replace("gF", "gf").replace("IMU", "imu"))
     return (brackets[-1] if brackets else ""), split_words(plain)
 
 

@@ -284,3 +284,16 @@ def test_a_json_recording_beside_another_is_no_file_of_claims(tmp_path: Path) ->
         assert not (tmp_path / "walk.csv").exists()
     (tmp_path / "walk.json").write_text('{"nominal_rate_hz": 100}')
     assert open_trace(tmp_path / "walk.jsonl").claims.nominal_rate_hz == 100
+
+
+def test_what_a_browser_tells_of_motion_is_read_with_gravity(tmp_path: Path) -> None:
+    still = {"x": 0.01, "y": 0.0, "z": 0.02}
+    records = [
+        {
+            "timestamp": 1e3 * t,
+            "acceleration": still,
+            "accelerationIncludingGravity": dict(zip("xyz", a, strict=True)),
+        }
+        for t, a, _ in samples()
+    ]
+    np.testing.assert_array_equal(read(tmp_path, lines(records)).accelerometer.xyz, FORCE)

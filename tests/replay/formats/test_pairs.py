@@ -11,7 +11,7 @@ import scipy.io
 
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.pairs import rates_file
-from stillcal.replay.formats.trace import Recording, read_all
+from stillcal.replay.formats.trace import Recording, open_trace, read_all
 from tests.support.log_files import (
     DATA,
     as_folder,
@@ -235,3 +235,12 @@ def test_a_gyroscope_with_a_column_of_its_own_times_is_read_by_it(tmp_path: Path
     (tmp_path / "walk.csv").write_text(text(names, other))
     with pytest.raises(TraceError, match="do not overlap those of the accelerometer"):
         read_all(tmp_path / "walk.csv")
+
+
+def test_nothing_is_passed_on_of_a_gyroscope_on_another_clock(tmp_path: Path) -> None:
+    (tmp_path / "acc.csv").write_text(force("t,x,y,z"))
+    (tmp_path / "gyr.csv").write_text(text("t,x,y,z", np.column_stack([LATER + 1.7e9, RATE[:400]])))
+    passed: list[int] = []
+    with pytest.raises(TraceError, match=r"times, from 1.7e\+09 s on, do not overlap those of .* acc.csv"):
+        passed.extend(len(chunk.gyroscope) for chunk in open_trace(tmp_path / "acc.csv"))
+    assert not any(passed)
