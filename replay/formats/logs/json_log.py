@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.names import find_axes, qualified
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.json_records import Form, Records, form_of, read_document, read_records
 from stillcal.replay.formats.tables.json_table import JsonTable
@@ -21,6 +22,9 @@ from stillcal.replay.formats.tables.plain import plain_text
 
 MOST_DOCUMENT = 64 << 20
 """Bytes of one object that are read whole."""
+
+_TIMED = ("t", "x", "y", "z")
+"""Columns of an array of four that is called after a sensor."""
 
 _BLOCK_RECORDS = 16384
 _FEWEST_RECORDS = 2
@@ -60,7 +64,9 @@ def json_arrays(document: dict[str, Any]) -> tuple[dict[str, dict[str, Any]], di
         if isinstance(value, int | float) and not isinstance(value, bool):
             scalars[name] = float(value)
         array = _array(value)
-        if array is not None:
+        if array is not None and array.shape[1:] == (len(_TIMED),) and find_axes(qualified(_TIMED, name)):
+            by_group[path] = dict(zip(_TIMED, array.T, strict=True))
+        elif array is not None:
             by_group.setdefault(group, {})[name] = array
     return by_group, scalars
 

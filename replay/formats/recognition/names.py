@@ -307,8 +307,13 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
 
 
 def spaced(text: str) -> str:
-    """Return a text with blanks around the sensors' long words in it: totalacceleration, AccelerometerRaw."""
-    return _LONG_WORD.sub(r" \1 ", text).strip()
+    """Return a text with the sensors' long words apart from others, as in `totalacceleration`."""
+
+    def apart(found: re.Match[str]) -> str:
+        before, after = text[: found.start()][-1:], text[found.end() :][:1]
+        return f"{' ' * before.isalnum()}{found[0]}{' ' * after.isalnum()}"
+
+    return _LONG_WORD.sub(apart, text)
 
 
 def qualified(names: Sequence[str], container: str) -> list[str]:

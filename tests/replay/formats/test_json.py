@@ -166,6 +166,11 @@ def test_nested_arrays_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path, json.dumps(document)).accelerometer.xyz, FORCE)
 
 
+def test_rows_of_a_time_and_three_axes_are_read_for_each_sensor(tmp_path: Path) -> None:
+    sensors = {"acc": np.column_stack([T, FORCE]).tolist(), "gyr": np.column_stack([T, RATE]).tolist()}
+    assert_same(read(tmp_path, json.dumps({"device": "phone", **sensors})))
+
+
 def test_rows_without_names_are_counted(tmp_path: Path) -> None:
     recording = read(tmp_path, json.dumps(DATA.tolist()))
     assert_same(recording)
