@@ -123,13 +123,16 @@ def rest_rates(rests: Sequence[RestState]) -> tuple[Array, Array]:
 
 
 def _near(rates: Array, variances: Array) -> NDArray[np.bool_]:
-    """Tell which rests are near the median, by the median absolute deviation; of two, both are."""
+    """Tell which rests are near the median, by the median absolute deviation.
+
+    Of two, both are; and all are where none is, as in three attitudes that differ on one axis each.
+    """
     if len(rates) < 3:
         return np.full(len(rates), True)
     distance = np.abs(rates - np.median(rates, axis=0))
     scatter = np.maximum(MAD_TO_SD * np.median(distance, axis=0), np.sqrt(variances))
     near: NDArray[np.bool_] = np.all(distance <= _OUTLIER * scatter, axis=1)
-    return near
+    return near if near.any() else np.full(len(rates), True)
 
 
 def _wander(rates: Array, variances: Array) -> Array:

@@ -69,6 +69,16 @@ def test_a_rest_that_spun_stands_out_against_the_others() -> None:
     np.testing.assert_allclose(found.bias, BIAS, atol=2e-5)
 
 
+def test_attitudes_that_all_disagree_leave_a_bias_and_say_how_uncertain_it_is() -> None:
+    """Five rests on each axis, turned about it by as much: each is far from the median on its own axis."""
+    turned = [rest(10.0 * k, np.eye(3)[k % 3], BIAS + 1e-3 * np.eye(3)[k % 3]) for k in range(15)]
+    turned = [structs.replace(r, rate=r.rate + 1e-7 * k) for k, r in enumerate(turned)]
+    found = bias_from_rests(turned)
+    assert found.outliers == () and found.n_rests == 15
+    np.testing.assert_allclose(found.bias, BIAS + 1e-3 / 3, atol=1e-6)
+    assert (found.wander > 3e-4).all()
+
+
 def test_outliers_point_into_the_rests_given_even_where_some_have_no_rates() -> None:
     rng = np.random.default_rng(3)
     all_rests = rests(rng, 10)
