@@ -43,7 +43,7 @@ from stillcal.daemon.service.subscribers import (
 from stillcal.daemon.settings import Settings, SettingsError, store_path
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.sources.open import source_of
-from stillcal.daemon.store.document import StoreDocument
+from stillcal.daemon.store.document import PASSING, StoreDocument
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system import log
 from stillcal.daemon.system.clock import Clock, host_time
@@ -362,7 +362,7 @@ class Service:
         if isinstance(action, Publish):
             self._say_whose(action.record)
         self.storage.enqueue(with_provenance(action, self.settings.source.port, self.saved.device))
-        self._save_now = self._save_now or action.record.acceptance.how != "zeroing"
+        self._save_now = self._save_now or action.record.acceptance.how not in PASSING
         self._unsaved.set()
         self.subscribers.announce(action)
 

@@ -9,6 +9,7 @@ before.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from stillcal.calib_core.accelerometer.parameters import ALL, names
 from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.acceptance import (
+    MOST_GAIN,
     beyond_doubt,
     clearly_smaller,
     flipped_share,
@@ -23,6 +25,7 @@ from stillcal.calib_core.calibration.acceptance import (
 )
 from stillcal.calib_core.calibration.bias_curve import (
     BLOCK_S,
+    NEWEST_HOURS,
     Learnt,
     is_thermal,
     learn_accelerometer,
@@ -54,16 +57,31 @@ LARGEST_KNOCK = 0.5 * STANDARD
 _BAD_SHARE = 0.2
 """Share of the rests since a step that may be bad ones. Another phone's scale leaves more that disagree."""
 
+FOLLOWED_GAIN = 3.0
+"""nats, odds of 20 to 1, by which the newest hours with rests must be likelier by what is learnt than by the
+calibration that was accepted last for the one in use to follow them."""
+
+_RETURNED = Acceptance(
+    how="following",
+    reason="the accelerometer no longer follows its rests: they are as likely by what was accepted last",
+)
+
 _FEW_HOURS = 2
-"""Hours with later rests that suffice against a calibration that a prior entered: it assumes more."""
+"""Hours with later rests that suffice against a calibration that a prior entered, which assumes more, and for
+one to be followed: what a step leaves, the check notices first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Followed:
-    """A record with its forecast renewed. accepted: whether its calibration is a new one."""
+    """A record with its forecast renewed.
+
+    accepted: whether its calibration of the accelerometer is a new one. centre: the calibration that was
+    accepted last, where the one in the record follows the rests since; else None.
+    """
 
     record: CalibrationRecord
     accepted: bool
+    centre: CalibrationRecord | None = None
 
 
 def with_learnt_gyroscope(record: CalibrationRecord, learnt: Learnt, t: float) -> CalibrationRecord:
@@ -94,28 +112,91 @@ def follow_accelerometer(
     *,
     degraded: bool = False,
     fresh: bool = False,
+    centre: CalibrationRecord | None = None,
 ) -> Followed | None:
     """Learn the accelerometer's calibration at t (s), and replace the one in use where the rules allow it.
 
     degraded: the one in use has failed its check. fresh: it was fitted just now; the learnt one refines it
     where there is evidence that the bias follows temperature, which the fit knows nothing of. None where
-    there are too few rests to learn from.
+    there are too few rests to learn from. centre: the calibration that was accepted last, where the one in
+    use follows the rests since. All that is learnt counts from it, and is compared with it: as a new
+    calibration it needs the evidence of the rules of acceptance; until then the one in use follows the rests
+    where these are likelier by what is learnt, and is the accepted one where they are not.
     """
-    part = record.accelerometer
+    accepted = record if centre is None else _returned(record, centre)
+    part = accepted.accelerometer
     if part is None:
         return None
     part = _unturned(part)
-    learnt = learn_accelerometer(memory, part.model, record, t, settings)
+    in_use = replace(accepted, terms=record.terms)
+    learnt = learn_accelerometer(memory, part.model, in_use, t, settings)
     if learnt is None or learnt.covariance is None:
         return None
-    reason, evidence = _accepted(record, part, learnt, memory, settings, degraded=degraded, fresh=fresh)
+    reason, evidence = _accepted(accepted, part, learnt, memory, settings, degraded=degraded, fresh=fresh)
     if not reason and not fresh:
-        reason, evidence = _stepped(record, part, learnt, memory, t)
-    if not reason:
-        return Followed(with_learnt_forecast(record, learnt), False)
-    acceptance = Acceptance(reason=reason, evidence=evidence)
-    new = _replaced(record, part, learnt=learnt, memory=memory, t=t, acceptance=acceptance)
-    return Followed(new, True)
+        reason, evidence = _stepped(accepted, part, learnt, memory, t)
+    replaced = partial(_replaced, record, part, learnt=learnt, memory=memory)
+    if reason:
+        return Followed(replaced(t=t, acceptance=Acceptance(reason=reason, evidence=evidence)), True)
+    lately = _held_out(accepted, part, learnt, memory).by_hour[-NEWEST_HOURS:]
+    gain = float(np.minimum(lately, MOST_GAIN).sum())
+    if fresh or lately.size < _FEW_HOURS or gain <= FOLLOWED_GAIN:
+        kept = accepted if centre is None else replace(accepted, acceptance=_RETURNED)
+        return Followed(with_learnt_forecast(kept, learnt), False)
+    why = f"the accelerometer follows its rests: {gain:.1f} nats likelier than by what was accepted last"
+    following = Acceptance(how="following", reason=why, evidence={"gain": gain})
+    followed = replaced(t=record.fitted_at, acceptance=following)
+    return Followed(_checked_as(followed, part), False, accepted)
+
+
+def _checked_as(record: CalibrationRecord, part: AccelerometerRecord) -> CalibrationRecord:
+    """Return a record whose accelerometer is checked as strictly as another calibration of it."""
+    own = record.accelerometer
+    if own is None or own.rms_residual is None or part.rms_residual is None:
+        return record
+    strict = replace(own, rms_residual=min(own.rms_residual, part.rms_residual))
+    return replace(record, accelerometer=strict)
+
+
+def _returned(record: CalibrationRecord, centre: CalibrationRecord) -> CalibrationRecord:
+    """Return a record with the accelerometer's calibration and terms of another one."""
+    accel = Sensor.ACCELEROMETER
+    terms = (
+        *(term for term in record.terms if term.sensor != accel),
+        *(term for term in centre.terms if term.sensor == accel),
+    )
+    return replace(
+        record,
+        accelerometer=centre.accelerometer,
+        fitted_at=centre.fitted_at,
+        validity=centre.validity,
+        terms=terms,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _HeldOut:
+    """Rests since a calibration was fitted: by it, and by what is learnt, from the rests before each.
+
+    old, new: (n,) m/s^2, by how much norms are off. by_hour: what the learnt one gains in each hour with
+    rests, nats.
+    """
+
+    old: Array
+    new: Array
+    by_hour: Array
+
+
+def _held_out(
+    record: CalibrationRecord, part: AccelerometerRecord, learnt: Learnt, memory: Memory
+) -> _HeldOut:
+    """Compare a calibration in use with what is learnt, on the rests since it was fitted."""
+    since = -np.inf if record.fitted_at is None else record.fitted_at
+    held_out = learnt.t > since
+    old, new = np.abs(_residuals(record, part, memory))[held_out], learnt.errors[held_out]
+    gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
+    _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
+    return _HeldOut(old, new, sums_by_block(block, gains))
 
 
 def _accepted(
@@ -132,17 +213,13 @@ def _accepted(
     if fresh:
         kept = record.acceptance
         return (kept.reason, kept.evidence) if learnt.term is not None else ("", {})
-    since = -np.inf if record.fitted_at is None else record.fitted_at
-    held_out = learnt.t > since
-    old, new = np.abs(_residuals(record, part, memory))[held_out], learnt.errors[held_out]
-    gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
-    _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
-    by_hour = sums_by_block(block, gains)
+    held_out = _held_out(record, part, learnt, memory)
+    by_hour = held_out.by_hour
     doubtless = beyond_doubt(by_hour)
     enough = by_hour.size >= (_FEW_HOURS if part.with_prior else settings.held_out_rests)
     if not enough and not doubtless:
         return "", {}
-    rms_old, rms_new = (rms(values) for values in (old, new))
+    rms_old, rms_new = (rms(values) for values in (held_out.old, held_out.new))
     chance = flipped_share(by_hour)
     evidence: Evidence = {"hours": by_hour.size, "chance": chance, "rms_old": rms_old, "rms_new": rms_new}
     figures = f"held-out rms {rms_new:.2g} after {rms_old:.2g} m/s^2 over {by_hour.size} hours"
@@ -207,10 +284,13 @@ def _replaced(
     *,
     learnt: Learnt,
     memory: Memory,
-    t: float,
+    t: float | None,
     acceptance: Acceptance,
 ) -> CalibrationRecord:
-    """Return the record with the learnt calibration of the accelerometer; a decision on its curve is said."""
+    """Return the record with the learnt calibration of the accelerometer; a decision on its curve is said.
+
+    t: s, since when it counts as fitted.
+    """
     if learnt.change:
         acceptance = replace(acceptance, reason=f"{acceptance.reason}; {learnt.reason}")
     low, high = learnt.forecast.temperature_min, learnt.forecast.temperature_max

@@ -23,7 +23,7 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 
-How = Literal["calibration", "zeroing", "terms", "rollback", "migration"]
+How = Literal["calibration", "zeroing", "following", "terms", "rollback", "migration"]
 Evidence = dict[str, float | int | str | bool | None]
 
 DETERMINANTS = (1 / 8, 8.0)

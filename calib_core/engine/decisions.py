@@ -374,7 +374,13 @@ class CalibrationPolicy:
         One that failed its check stays degraded until its stated uncertainty is below what a check notices.
         """
         state, limit = self._state, self._settings.quality.accel_limit
-        if not self._followed(t, fresh=False) or state.record is None:
+        before = state.record
+        accepted = self._followed(t, fresh=False)
+        if state.record is None or before is None:
+            return
+        if not accepted:
+            if state.record.accelerometer is not before.accelerometer:
+                self._actions.append(Publish(t, state.record, state.record.acceptance.reason))
             return
         uncertainty = state.record.bias_uncertainty_at(Sensor.ACCELEROMETER, t, None)
         if uncertainty is not None and uncertainty.max() < limit:
@@ -400,10 +406,11 @@ class CalibrationPolicy:
             self._settings.quality,
             degraded=state.degraded,
             fresh=fresh,
+            centre=state.centre,
         )
         if followed is None:
             return False
-        state.record = followed.record
+        state.record, state.centre = followed.record, followed.centre
         return followed.accepted
 
     def _rests_since(self, t: float | None) -> Pool:
@@ -497,7 +504,7 @@ class CalibrationPolicy:
             state.trials = ()
             state.memory = state.memory.where(state.memory.t >= (outcome.since or state.sound_until or t))
         state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
-        state.suspected = {}
+        state.centre, state.suspected = None, {}
         state.counters.calibrations += 1
         state.record = (
             outcome.record if outcome.record.gyroscope is None else self._refined(outcome.record, t)

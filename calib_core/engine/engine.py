@@ -145,7 +145,7 @@ class Engine:
         """
         state = self._state
         state.memory, state.trials = Memory(), ()
-        state.record, state.degraded = record, False
+        state.record, state.centre, state.degraded = record, None, False
         state.checked = state.sound_until = state.trouble = None
         state.suspected = {}
         review_soon(state, self._now(), self.settings.schedule)

@@ -95,6 +95,7 @@ class EngineState:
     its readings of late. charger: its changes of late. attitudes: number of distinct ones in the pool.
     fresh: rests gathered since the last attempt to fit. gyro_tail: gyroscope samples that the next
     rotation segment may be cut from. sound_until: when a calibration that now fails last passed a check.
+    centre: the calibration that was accepted last, where the accelerometer's in use follows the rests since.
     refusal: why the last attempt to fit was refused. trouble: None where the last check passed. suspected:
     steps of a bias that a single rest since the last check may have shown. trials: terms of a diagnosis that
     are tested on the rests since.
@@ -127,6 +128,7 @@ class EngineState:
     last_rest: RestState | None = None
     gyro_tail: Samples | None = None
     record: CalibrationRecord | None = None
+    centre: CalibrationRecord | None = None
     sound_until: float | None = None
     refusal: Refusal | None = None
     trouble: Trouble | None = None

@@ -77,4 +77,5 @@ class CalibrationSubscribers(Subscribers[Notification]):
 
 
 def _kind(record: CalibrationRecord) -> str:
-    return "zeroed" if record.acceptance.how == "zeroing" else "calibrated"
+    names = {"zeroing": "zeroed", "following": "followed"}
+    return names.get(record.acceptance.how, "calibrated")

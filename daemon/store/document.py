@@ -36,6 +36,9 @@ REPAIR = "`stillcal store repair` shows what, and takes it if you say so"
 DERIVED = {"checksum", "id"}
 """Values that follow from the others."""
 
+PASSING = ("zeroing", "following")
+"""How a calibration becomes current that differs from the one before by what its newest rests show."""
+
 What = Literal["replaced", "rolled_back", "rejected"]
 
 
@@ -85,10 +88,10 @@ class StoreDocument:
         """Return the document with `calibration` current and the one before in the history.
 
         reason, at: why and when (s) the change was made, else what the calibration says. Publishing the
-        same calibration again changes no history, so that a restart may repeat itself. A zeroing that
-        another zeroing replaces is forgotten: rolling back to a stale gyroscope bias helps nobody, and
-        hourly zeroings would push out every full calibration. So is a zeroing without an accelerometer
-        part, from before the first full calibration.
+        same calibration again changes no history, so that a restart may repeat itself. One of PASSING that
+        another one replaces is forgotten: rolling back to a stale bias helps nobody, and hourly ones would
+        push out every full calibration. So is a zeroing without an accelerometer part, from before the
+        first full calibration.
         """
         old = self.current
         if old is None or old.id == calibration.id or _is_forgotten(old, calibration):
@@ -256,7 +259,9 @@ def pretty(value: Any, indent: int = 0, lead: int = 0) -> str:
 
 def _is_forgotten(old: CalibrationRecord, new: CalibrationRecord) -> bool:
     """Tell whether the history leaves out a calibration that another one replaces."""
-    return old.acceptance.how == "zeroing" and (new.acceptance.how == "zeroing" or old.accelerometer is None)
+    if old.acceptance.how not in PASSING:
+        return False
+    return new.acceptance.how in PASSING or old.accelerometer is None
 
 
 def _entry(what: What, reason: str, at: float | None, calibration: CalibrationRecord) -> HistoryEntry:

@@ -258,7 +258,8 @@ class Findings:
 class Event:
     """A change of the calibration.
 
-    what: current (the first event: the present state), calibrated, zeroed, rejected, forgotten (the phone is
+    what: current (the first event: the present state), calibrated, zeroed (the gyroscope's bias was measured
+    anew), followed (the accelerometer's follows its newest rests), rejected, forgotten (the phone is
     another one) or rolled_back.
     """
 

@@ -24,6 +24,7 @@ from stillcal.calib_core.calibration.following import follow_accelerometer, with
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.codec import packed, unpacked
+from stillcal.calib_core.engine.actions import Publish
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.engine.state import EngineState
@@ -334,12 +335,12 @@ def followed_hourly(rests: list[RestState], hours: range) -> list[tuple[int, Cal
         accelerometer_record(), remembered([r for r in rests if r.t_end <= start]), start, SETTINGS
     )
     assert first is not None and first.accepted
-    record = first.record
+    record, centre = first.record, first.centre
     for hour in hours[1:]:
         memory = remembered([r for r in rests if r.t_end <= hour * HOUR])
-        followed = follow_accelerometer(record, memory, hour * HOUR, SETTINGS)
+        followed = follow_accelerometer(record, memory, hour * HOUR, SETTINGS, centre=centre)
         assert followed is not None
-        record = followed.record
+        record, centre = followed.record, followed.centre
         replaced += [(hour, record)] if followed.accepted else []
     return replaced
 
@@ -394,11 +395,14 @@ def test_one_bad_rest_is_no_knock() -> None:
 @pytest.mark.slow
 def test_a_year_of_calibrations_that_replace_each_other_does_not_creep() -> None:
     """A year of rests, followed daily: few calibrations replace each other, none strays from the truth."""
-    record, memory, errors, scales = accelerometer_record(), Memory(), [], []
+    record, memory, errors, scales, centre, told = accelerometer_record(), Memory(), [], [], None, []
     for rest in lived(365 * 24.0, every_s=11.3 * HOUR):
         memory = memory.with_rest(rest, G)
         if rest.t_end % (24 * HOUR) < 12 * HOUR:
-            followed = follow_accelerometer(record, memory, rest.t_end, SETTINGS)
+            followed = follow_accelerometer(record, memory, rest.t_end, SETTINGS, centre=centre)
+            if followed is not None:
+                centre = followed.centre
+                told.append(max(off_by(followed.record, 19.0), off_by(followed.record, 31.0)))
             if followed is not None and followed.accepted:
                 record = followed.record
                 errors.append(max(off_by(record, 19.0), off_by(record, 31.0)))
@@ -408,6 +412,42 @@ def test_a_year_of_calibrations_that_replace_each_other_does_not_creep() -> None
     assert 1 <= len(errors) <= 8
     assert max(errors[1:], default=0.0) < 0.3 and errors[-1] < 0.2
     assert scales[-1] < 3e-4
+    assert max(told[-270:]) < 0.3 and np.median(told[-90:]) <= 1.2 * np.median(told[-270:-180])
+
+
+def wandering(until: float) -> list[RestState]:
+    """Return the rests of 34 hours; the accelerometer's bias rises by 0.1 mg an hour until `until`."""
+    rests = lived(34.0, slopes=0.0)
+    for k, rest in enumerate(rests):
+        moved = 0.1 * MG * min(rest.t_start / HOUR, until) * np.ones(3)
+        rests[k] = structs.replace(rest, specific_force=frozen(rest.specific_force + moved))
+    return rests
+
+
+def test_the_calibration_in_use_follows_its_rests_about_the_accepted_one() -> None:
+    """What is learnt is told before it may replace the accepted one; it depends on that one and the rests."""
+    first = accelerometer_record(SensorModel.of(TRUE.scale, TRUE.bias + 3.0 * MG))
+    first, centre = replace(first, fitted_at=30 * HOUR), None
+    rests, record = wandering(until=34.0), first
+    for hour in range(31, 35):
+        memory = remembered([r for r in rests if r.t_end <= hour * HOUR])
+        followed = follow_accelerometer(record, memory, hour * HOUR, SETTINGS, centre=centre)
+        assert followed is not None and not followed.accepted
+        record, centre = followed.record, followed.centre
+    assert centre is not None and centre.accelerometer is first.accelerometer
+    assert record.acceptance.how == "following" and record.fitted_at == first.fitted_at
+    assert off_by(record, 25.0, 3.4 * MG) < 0.5 * off_by(first, 25.0, 3.4 * MG)
+    stated = record.bias_uncertainty_at(ACCEL, 34 * HOUR, 25.0)
+    assert off_by(record, 25.0, 3.4 * MG) * MG < 2 * stated.max()
+    at_once = follow_accelerometer(first, memory, 34 * HOUR, SETTINGS)
+    assert at_once is not None
+    told = at_once.record.accelerometer.bias
+    assert record.accelerometer.bias == pytest.approx(told, abs=1e-3 * MG)
+    steady = remembered(wandering(until=30.0))
+    back = follow_accelerometer(record, steady, 34 * HOUR, SETTINGS, centre=centre)
+    assert back is not None and back.centre is None and not back.accepted
+    assert back.record.accelerometer is first.accelerometer
+    assert "no longer follows" in back.record.acceptance.reason
 
 
 def test_clearly_smaller_is_half_the_variance_over_all_directions() -> None:
@@ -441,3 +481,19 @@ def test_the_engine_learns_from_its_rests_and_forgets_them_at_a_rollback() -> No
     assert again.record.forecast.keys() == record.forecast.keys()
     engine.use_calibration(plain)
     assert len(engine.state.memory) == 0
+
+
+def test_the_engine_publishes_what_follows_and_a_rollback_ends_it() -> None:
+    engine = Engine(EngineSettings(schedule=ScheduleSettings(gravity=G)))
+    first = accelerometer_record(SensorModel.of(TRUE.scale, TRUE.bias + 3.0 * MG))
+    engine.use_calibration(replace(first, fitted_at=30 * HOUR))
+    engine.add_rests([structs.replace(rest, rate=None) for rest in wandering(until=34.0)])
+    engine._policy.check(34 * HOUR)
+    published = [a for a in engine.feed(Tick(34 * HOUR)) if isinstance(a, Publish)]
+    assert [a.record.acceptance.how for a in published] == ["following"]
+    assert engine.present.centre.accelerometer is first.accelerometer
+    assert engine.present.record is published[0].record and not engine.present.degraded
+    again = unpacked(packed(engine.state), EngineState)
+    assert np.array_equal(again.centre.accelerometer.bias, first.accelerometer.bias)
+    engine.use_calibration(first)
+    assert engine.present.centre is None

@@ -18,6 +18,15 @@ def test_publishing_the_same_again_changes_no_history(document, make_record):
     assert document.after_publishing(make_record(2), 32).history == document.history
 
 
+def test_what_follows_the_rests_each_hour_does_not_crowd_out_calibrations(make_record):
+    accepted, document = make_record(0), StoreDocument()
+    document = document.after_publishing(accepted, 4)
+    for hour in range(1, 30):
+        how = "following" if hour % 2 else "zeroing"
+        document = document.after_publishing(make_record(hour, how=how), 4)
+    assert [e.calibration.id for e in document.history] == [accepted.id]
+
+
 def test_zeroings_do_not_crowd_out_calibrations(make_record):
     document = StoreDocument().after_publishing(make_record(1), 4)
     for hour in range(2, 50):
