@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.kept_samples import chosen, of_samples
 from stillcal.calib_core.diagnosis.segments.overview import Overview, OverviewBuilder
+from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.system.memory import release_free_pages
 from stillcal.replay.formats.claims import Event
@@ -26,6 +27,10 @@ diagnosis needs several times as much while it works."""
 
 KEPT = 600_000
 """Samples of a sensor that are kept of a longer one: 3.3 h at 50 Hz."""
+
+DAY = 86400.0
+LONGEST_DAYS = 60.0
+"""Span of the longest recording that is diagnosed: every second takes memory, with samples or without."""
 
 BLOCK = 1 << 16
 """Samples of a sensor that are read at a time."""
@@ -50,11 +55,15 @@ def overview_of(recording: Recording) -> Overview | None:
 class Condenser:
     """Takes a recording block by block and keeps what a diagnosis needs of it.
 
-    keep: which windows to keep, where that is known beforehand; None: they are chosen.
+    keep: which windows to keep, where that is known beforehand; None: they are chosen. name: what errors call
+    the recording.
     """
 
-    def __init__(self, whole: int = WHOLE, kept: int = KEPT, keep: Flags | None = None) -> None:
-        self._whole, self._kept = whole, kept
+    def __init__(
+        self, whole: int = WHOLE, kept: int = KEPT, keep: Flags | None = None, name: str = "the recording"
+    ) -> None:
+        self._whole, self._kept, self._name = whole, kept, name
+        self._span = (np.inf, -np.inf)
         self._builder = OverviewBuilder()
         self._held: dict[Sensor, list[Samples]] = {Sensor.ACCELEROMETER: [], Sensor.GYROSCOPE: []}
         self._given = keep
@@ -62,7 +71,8 @@ class Condenser:
         self._seen = 0
 
     def add(self, accelerometer: Samples, gyroscope: Samples) -> None:
-        """Take the next block."""
+        """Take the next block. Raises UserError where the recording is too long."""
+        self._span = _longer(self._span, (accelerometer, gyroscope), self._name)
         self._builder.add(accelerometer, gyroscope)
         for block in (accelerometer, gyroscope):
             if len(block):
@@ -105,6 +115,18 @@ class Condenser:
         self._seen = n
 
 
+def _longer(span: tuple[float, float], more: Iterable[Samples | None], name: str) -> tuple[float, float]:
+    """Return a span, s, that holds some samples too. Raises UserError where it is too long."""
+    held = [s.t for s in more if s]
+    start, end = min([span[0], *(t[0] for t in held)]), max([span[1], *(t[-1] for t in held)])
+    if end - start > LONGEST_DAYS * DAY:
+        raise UserError(
+            f"{name}: its time stamps span {(end - start) / DAY:.4g} days, and at most {LONGEST_DAYS:.0f} are"
+            " diagnosed at once; choose a part with --from and --to"
+        )
+    return float(start), float(end)
+
+
 def _part(samples: Samples, rows: Flags) -> Samples:
     """Return the chosen rows (n,) of a run."""
     if rows.all():
@@ -123,11 +145,12 @@ def _part(samples: Samples, rows: Flags) -> Samples:
 
 
 def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] | None = None) -> Recording:
-    """Read a recording for its diagnosis; a long one is never held whole. Errors: those of Trace.chunks.
+    """Read a recording for its diagnosis; a long one is never held whole.
 
+    Raises the errors of Trace.chunks, UserError where it is longer than LONGEST_DAYS.
     path: as it was asked for; the recording is called so. progress: is called with the share that is read.
     """
-    condenser = Condenser()
+    condenser = Condenser(name=trace.name_of(path))
     events: list[Event] = []
     for chunk in trace.chunks(BLOCK):
         condenser.add(chunk.accelerometer, chunk.gyroscope)
@@ -146,11 +169,15 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
 
 
 def condensed(recording: Recording) -> Recording:
-    """Return a recording in memory as its diagnosis needs it: itself, unless it is long."""
+    """Return a recording in memory as its diagnosis needs it: itself, unless it is long.
+
+    Raises UserError where it is longer than LONGEST_DAYS.
+    """
+    _longer((np.inf, -np.inf), (recording.accelerometer, recording.gyroscope), recording.name)
     sizes = [len(s) for s in (recording.accelerometer, recording.gyroscope) if s is not None]
     if isinstance(recording, LongRecording) or max(sizes) <= WHOLE:
         return recording
-    condenser = Condenser()
+    condenser = Condenser(name=recording.name)
     for chunk in recording.chunks(BLOCK):
         condenser.add(chunk.accelerometer, chunk.gyroscope)
     return condenser.recording(recording)

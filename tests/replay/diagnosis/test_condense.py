@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tracemalloc
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,8 +12,10 @@ import pytest
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import Condenser, LongRecording
+from stillcal.replay.diagnosis.condense import condensed as as_needed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 
@@ -120,3 +123,18 @@ def test_memory_does_not_grow_with_length() -> None:
     samples = 2 * 5 * 8 * RATE * (lengths[1] - lengths[0])
     # Statistics of seconds grow. At 20 Hz they are no small part of the samples; at 100 Hz they are.
     assert peaks[1] - peaks[0] < 0.6 * samples
+
+
+def test_a_gap_of_years_is_refused_before_it_takes_memory() -> None:
+    """One log joined to another of nine years later: every second between would be held."""
+    condenser = Condenser(name="log.csv")
+    blocks = list(_blocks(2 * BLOCK_S))
+    condenser.add(*blocks[0])
+    later = [Samples.checked(s.sensor, s.t + 9 * 365.25 * 86400.0, s.xyz) for s in blocks[1]]
+    with pytest.raises(UserError, match=r"log\.csv: .* span 3287 days, .* --from and --to"):
+        condenser.add(*later)
+    both = (np.concatenate([a.t, b.t]) for a, b in zip(blocks[0], later, strict=True))
+    xyz = (np.concatenate([a.xyz, b.xyz]) for a, b in zip(blocks[0], later, strict=True))
+    accelerometer, gyroscope = (Samples.checked(s, *x) for s, *x in zip(Sensor, both, xyz, strict=True))
+    with pytest.raises(UserError, match="span 3287 days"):
+        as_needed(replace(ABOUT, accelerometer=accelerometer, gyroscope=gyroscope))
