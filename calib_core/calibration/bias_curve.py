@@ -274,7 +274,7 @@ def _learn_by(
     misled = _misled(curved, without, seen.t)
     if misled > ENOUGH_GAIN:
         return _unguided(sensor, without, seen, driver, middle=middle, term=term, t=t)
-    if change == TAKEN_UP and misled > 0.0:
+    if change == TAKEN_UP and misled > MOST_GAIN:  # more than one bad rest speaks against it
         change = ""
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
     behind = seen.celsius - driver.read
