@@ -18,10 +18,11 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.static.rest import RestState, forces
+from stillcal.calib_core.static.rest import RestState, attitude_labels, directions, forces
 
 _OUTLIER = 4.5  # robust standard deviations; 1 in 150 000 normal draws lies beyond
 _UNBOUNDED_SPIN = 1e3  # rad/s; stands for a rotation that nothing bounds, far beyond any gyroscope's range
+_SAME_ATTITUDE = 0.1  # rad; rests whose verticals are nearer may share a rotation about it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +55,7 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
     near = _near(rates, variances)
     n = int(near.sum())
     wander = _wander(rates[near], variances[near])
-    total = variances[near] + wander**2 * (n - 1) / max(n - 3, 0.5)
+    total = variances[near] + wander**2 * _few(n)
     weights = 1.0 / total
     bias = (weights * rates[near]).sum(axis=0) / weights.sum(axis=0)
     with_rates = [i for i, r in enumerate(rests) if r.rate is not None]
@@ -63,7 +64,9 @@ def bias_from_rests(rests: Sequence[RestState]) -> BiasEstimate:
         bias=bias,
         covariance=np.diag(1.0 / weights.sum(axis=0)),
         wander=wander,
-        undetected_rotation_bound=_undetected_rotation_bound([rests[i] for i in used], total),
+        undetected_rotation_bound=_undetected_rotation_bound(
+            [rests[i] for i in used], rates[near] - bias, total
+        ),
         n_rests=len(rates),
         outliers=tuple(sorted(set(with_rates) - set(used))),
     )
@@ -143,23 +146,61 @@ def _wander(rates: Array, variances: Array) -> Array:
     return np.sqrt(np.maximum(scatter, 0.0))
 
 
-def _undetected_rotation_bound(rests: Sequence[RestState], variances: Array) -> Array:
+def _few(n: int) -> float:
+    """Return by how much the variance of n values is to be widened, as in Student's t."""
+    return (n - 1) / max(n - 3, 0.5)
+
+
+def _undetected_rotation_bound(rests: Sequence[RestState], away: Array, variances: Array) -> Array:
     """Return the error that undetected rotation in the rests may leave in the bias, (3,) rad/s.
 
     Each rest shows the bias across its vertical up to tilt_rate_limit and along it up to its
-    undetected_rotation_bound. What this leaves uncertain beyond the rests' own noise is what rotation may
-    have put there.
+    undetected_rotation_bound. Rests of one attitude may share their rotation, as on a chair that goes on
+    turning, so their number does not make it smaller. What this leaves uncertain beyond the rests' own noise
+    is what rotation may have put there, and so is what attitudes differ by beyond the wander of their rests.
+    away: (n, 3) rad/s, their rates off the mean, with `variances` (n, 3).
     """
-    up = forces(rests)
-    up = up / np.linalg.norm(up, axis=1, keepdims=True)
-    along = up[:, :, None] * up[:, None, :]
+    up = directions(forces(rests))
     bounds = [r.undetected_rotation_bound for r in rests]
     spin = np.array([_UNBOUNDED_SPIN if bound is None else bound for bound in bounds])
     tilt = np.array([r.tilt_rate_limit or 0.0 for r in rests])
     noise = variances.mean(axis=1)
-    vertical, across = (1.0 / (noise + rotation**2) for rotation in (spin, tilt))
-    information = np.einsum("k,kij->ij", vertical - across, along) + across.sum() * np.eye(3)
+    in_time = np.argsort([r.t_start for r in rests], kind="stable")
+    attitude = np.empty(len(rests), dtype=np.intp)
+    attitude[in_time] = attitude_labels(up[in_time], _SAME_ATTITUDE)
+    information = np.zeros((3, 3))
+    for rows in (attitude == label for label in np.unique(attitude)):
+        vertical, across = (_told(noise[rows], rotation[rows]) for rotation in (spin, tilt))
+        along = (up[rows].T @ up[rows]) / rows.sum()
+        information += (vertical - across) * along + across * np.eye(3)
     values, vectors = np.linalg.eigh(information)
     with_rotation = vectors**2 @ (1.0 / np.maximum(values, _UNBOUNDED_SPIN**-2))
-    undetected_rotation_bound = np.sqrt(np.maximum(with_rotation - 1.0 / (1.0 / noise).sum(), 0.0))
+    admitted = np.maximum(with_rotation - 1.0 / (1.0 / noise).sum(), 0.0)
+    undetected_rotation_bound = np.sqrt(admitted + _between_attitudes(attitude, away, variances))
     return np.where(undetected_rotation_bound > 1e-2 * _UNBOUNDED_SPIN, np.inf, undetected_rotation_bound)
+
+
+def _between_attitudes(attitude: NDArray[np.intp], away: Array, variances: Array) -> Array:
+    """Return the variance (3,) that the mean has where rests of one attitude err alike, beyond that stated.
+
+    It is the cluster-robust variance of a weighted mean (Liang and Zeger, Biometrika 73, 1986).
+    """
+    labels, index = np.unique(attitude, return_inverse=True)
+    if len(labels) < 2:
+        return np.zeros(3)
+    weights = 1.0 / variances
+    whole = weights.sum(axis=0)
+    pulls = np.stack([np.bincount(index, (weights * away)[:, a]) for a in range(3)], axis=1)
+    clusters = len(labels) / (len(labels) - 1) * _few(len(labels))
+    return np.asarray(np.maximum(clusters * (pulls**2).sum(axis=0) / whole**2 - 1.0 / whole, 0.0))
+
+
+def _told(noise: Array, rotation: Array) -> float:
+    """Return the information, s^2/rad^2, of rests with noise variances (n,) that share a rotation.
+
+    rotation: (n,) rad/s, standard size that each admits. Rests that admit more than others are left out
+    where that tells more.
+    """
+    order = np.argsort(rotation)
+    precision = np.cumsum(1.0 / noise[order])
+    return float(np.max(1.0 / (1.0 / precision + rotation[order] ** 2)))

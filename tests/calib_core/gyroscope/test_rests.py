@@ -21,7 +21,7 @@ from stillcal.calib_core.gyroscope.rotation_segment import (
     excursion,
 )
 from stillcal.calib_core.model import SensorModel
-from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.rest import RestState, directions
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 G = 9.80665
@@ -92,8 +92,22 @@ def test_one_attitude_admits_its_spin_about_the_vertical() -> None:
     up = np.array([0.0, 0.6, 0.8])
     found = bias_from_rests([rest(10.0 * k, up, BIAS, spin=2e-3) for k in range(5)])
     tilt_left = 1e-5
-    expected = 2e-3 / np.sqrt(5) * np.abs(up)
+    expected = 2e-3 * np.abs(up)  # all five may have turned alike
     np.testing.assert_allclose(found.undetected_rotation_bound, expected, atol=2 * tilt_left)
+
+
+def test_what_all_rests_of_an_attitude_share_is_within_the_bound() -> None:
+    """Four attitudes of five rests, each attitude on something that turns at its own rate."""
+    rng, inside = np.random.default_rng(6), []
+    for _ in range(200):
+        ups = directions(rng.normal(size=(4, 3)))
+        spins = 1e-3 * rng.normal(size=4)
+        found = bias_from_rests(
+            [rest(10.0 * k, ups[k % 4], BIAS + spins[k % 4] * ups[k % 4], spin=1e-3) for k in range(20)]
+        )
+        sd = np.hypot(np.sqrt(np.diag(found.covariance)), found.undetected_rotation_bound)
+        inside.append(np.abs(found.bias - BIAS) < 1.96 * sd)
+    assert np.mean(inside) > 0.9
 
 
 def test_unbounded_spin_in_one_attitude_leaves_that_axis_open() -> None:
