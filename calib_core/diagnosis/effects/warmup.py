@@ -109,9 +109,8 @@ class LatentHeat(BiasEffect):
         return _nearby(grid)
 
     def curve(self, moments: Moments, grid: Grid) -> Array:
-        """Return the latent temperature, scaled to a range of one."""
-        heat = _heat(moments, grid)
-        return np.asarray(heat / np.ptp(heat))
+        """Return the latent temperature, scaled to a range of one over the whole recording."""
+        return np.asarray(_heat(moments, grid) / np.ptp(moments.history.heat_throughout(**grid)))
 
     def companions(self, moments: Moments) -> Sequence[Array]:
         """Return the slow and fast parts that heat of the same sources, and a start off balance, may have."""

@@ -33,6 +33,11 @@ class History:
         """Whether the phone was plugged in or out during the recording."""
         return self.switches is not None and moves(self.switches[:, 1])
 
+    def heat_throughout(self, tau_s: float, plug: float, use: float, start: float) -> Array:
+        """Return what `heat` is in every window of the recording, (w,)."""
+        times = self.activity[:, 0]
+        return self.heat(times, np.full(times.size, WINDOW), tau_s, plug, use, start)
+
     def heat(  # noqa: PLR0917 - a moment and four shares
         self, t: Array, duration: Array, tau: float, plug: float, use: float, start: float
     ) -> Array:
