@@ -22,6 +22,9 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.memory import Memory
 from stillcal.calib_core.temperature.regression import HIDDEN
 
+_MOST_LOG_ODDS = 30.0
+"""Log odds, either way, beyond which further rests do not count: later ones must be able to turn them."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Innovation:
@@ -72,9 +75,6 @@ class Suspicion:
             frozen(self.covariance - gain @ rest.towards @ self.covariance),
             float(np.clip(self.log_odds + likelier, -_MOST_LOG_ODDS, _MOST_LOG_ODDS)),
         )
-
-
-_MOST_LOG_ODDS = 30.0
 
 
 def suspected(before: Suspicion | None, rest: Innovation, significance: float) -> Suspicion | None:

@@ -28,7 +28,7 @@ diagnosis needs several times as much while it works."""
 KEPT = 600_000
 """Samples of a sensor that are kept of a longer one: 3.3 h at 50 Hz."""
 
-DAY = 86400.0
+DAY_S = 86400.0
 LONGEST_DAYS = 60.0
 """Span of the longest recording that is diagnosed: every second takes memory, with samples or without."""
 
@@ -119,9 +119,10 @@ def _longer(span: tuple[float, float], more: Iterable[Samples | None], name: str
     """Return a span, s, that holds some samples too. Raises UserError where it is too long."""
     held = [s.t for s in more if s]
     start, end = min([span[0], *(t[0] for t in held)]), max([span[1], *(t[-1] for t in held)])
-    if end - start > LONGEST_DAYS * DAY:
+    if end - start > LONGEST_DAYS * DAY_S:
+        days = (end - start) / DAY_S
         raise UserError(
-            f"{name}: its time stamps span {(end - start) / DAY:.4g} days, and at most {LONGEST_DAYS:.0f} are"
+            f"{name}: its time stamps span {days:.4g} days, and at most {LONGEST_DAYS:.0f} are"
             " diagnosed at once; choose a part with --from and --to"
         )
     return float(start), float(end)

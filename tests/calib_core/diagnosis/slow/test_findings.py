@@ -192,3 +192,16 @@ def test_wander_without_a_name_is_not_told_beside_structure_without_one() -> Non
     assert not_unknown_twice([Stated(step), Stated(unknown)], [unknown]) == []
     assert not_unknown_twice([Stated(unknown)], [walk]) == [walk]
     assert not_unknown_twice([Stated(step)], [unknown]) == [unknown]
+
+
+def test_latent_heat_has_one_size_wherever_it_is_asked_for() -> None:
+    """What is taken off a turn is the part of the curve there, also where the heat stands still in it."""
+    t = np.arange(0.5, 3600.0)
+    switches = np.array([[0.0, 0.0], [600.0, 1.0], [1800.0, 0.0]])
+    history = History((0.0, 3600.0), np.column_stack([t, np.zeros(t.size)]), switches)
+    grid = {"tau_s": 300.0, "plug": 1.0, "use": 0.0, "start": 0.0}
+    effect, whole = LatentHeat("gyro"), Moments(t, np.zeros(t.size), history)
+    curve = effect.curve(whole, grid)
+    assert np.ptp(curve) == pytest.approx(1.0, rel=1e-3)
+    for rows in (slice(0, 100), slice(700, 710), slice(2000, 2003)):
+        np.testing.assert_array_equal(effect.curve(whole.during(rows), grid), curve[rows])
