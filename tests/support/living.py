@@ -35,22 +35,31 @@ async def until(holds: Callable[[], Any]) -> None:
 
 
 @contextlib.asynccontextmanager
-async def running(given: LaunchOptions, environ: dict[str, str] | None = None) -> AsyncIterator[Service]:
-    """Run the daemon on this loop and end it cleanly."""
+async def started(
+    given: LaunchOptions, environ: dict[str, str] | None = None
+) -> AsyncIterator[tuple[Service, asyncio.Task[None]]]:
+    """Run the daemon on this loop, with its task, and end it cleanly; what ended it is raised here."""
     service = Service(given.settings(), given, Notifier(environ or {}))
     service.open()
     task = asyncio.create_task(service.run())
     await until(lambda: hasattr(service, "session") or task.done())
     try:
-        yield service
+        yield service, task
     finally:
         service.stop()
         await task
 
 
 @contextlib.asynccontextmanager
+async def running(given: LaunchOptions, environ: dict[str, str] | None = None) -> AsyncIterator[Service]:
+    """Run the daemon on this loop and end it cleanly."""
+    async with started(given, environ) as (service, _):
+        yield service
+
+
+@contextlib.asynccontextmanager
 async def answering(folder: Path, text: str = "") -> AsyncIterator[Service]:
-    """Run the daemon without a phone until it can be asked."""
-    async with running(given_in(folder, text)) as service:
-        await until((folder / "socket").exists)
+    """Run the daemon without a phone until it can be asked, or has ended."""
+    async with started(given_in(folder, text)) as (service, task):
+        await until(lambda: (folder / "socket").exists() or task.done())
         yield service

@@ -56,8 +56,8 @@ STRAY = 0.02
 STRAY_RANGE = float(np.log(1e6))
 """Its amplitudes: any of six decades."""
 
-ASYMPTOTIC = 1e6
-"""Argument from which a scaled Bessel function falls as one over its root (Abramowitz and Stegun, 9.7.1)."""
+TINY = 0.01
+"""Argument below which the Bessel function is the first two terms of its series, to 1e-10 of itself."""
 
 AXES = 3
 BESIDE = 60
@@ -245,16 +245,23 @@ def _there(s: Array, level: Array, scatter: float, floor: float) -> Array:
 
     The power of three axes, line and noise, is a noncentral chi-squared with six degrees of freedom.
     """
-    from scipy.special import ive  # noqa: PLC0415 - the daemon stays light
-
     unit, density = s / floor, np.zeros(s.size)
     for node, weight in zip(*SCATTERED, strict=True):
         line = level / floor * max(1.0 + scatter * node, 0.05)
-        twice = 2.0 * unit * line
-        bessel = ive(2, np.minimum(twice, ASYMPTOTIC)) / np.sqrt(np.maximum(twice / ASYMPTOTIC, 1.0))
-        near = np.exp(-((unit - line) ** 2)) * bessel
+        near = np.exp(-((unit - line) ** 2)) * scaled_bessel(2.0 * unit * line)
         density += weight * 2.0 * unit * (unit / line) ** 2 * near / floor
     return density
+
+
+def scaled_bessel(x: Array) -> Array:
+    """Return exp(-x) I2(x) of x >= 0 from orders 0 and 1, which scipy has by fast series.
+
+    Abramowitz and Stegun: the recurrence 9.6.26, and 9.6.10 for small x, where its difference loses digits.
+    """
+    from scipy.special import i0e, i1e  # noqa: PLC0415 - the daemon stays light
+
+    series = x**2 / 8.0 * (1.0 + x**2 / 12.0) * np.exp(-np.minimum(x, 1.0))
+    return np.asarray(np.where(x < TINY, series, i0e(x) - 2.0 * i1e(x) / np.maximum(x, TINY)))
 
 
 def _gone(s: Array, floor: float) -> Array:
