@@ -313,8 +313,10 @@ def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding |
     start, end = float(seen.span[rows[0], 0]), float(seen.span[rows[-1], 1])
     where = Where(start, end, (frequency - half, frequency + half), "time")
     rate = 2.0 * float(seen.f[-1])
+    always = (start, end) == (seen.span[0, 0], seen.span[-1, 1])
+    vibration = "Vibration" if always else f"From {start:.0f} to {end:.0f} s: vibration"
     say = (
-        f"Vibration at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"
+        f"{vibration} at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"
         f" {amplitude.max():.3g} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
         f" {rate + frequency:.1f} Hz)."
     )

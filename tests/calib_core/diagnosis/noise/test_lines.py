@@ -99,6 +99,14 @@ def test_a_steady_vibration_and_one_for_a_while_keep_their_name(
         assert found or amplitude < 0.004, "a faint one may be missed"
 
 
+def test_the_text_says_how_long_a_vibration_lasts() -> None:
+    (brief,) = tones(lying(humming({30.0: 0.02}) * (T < 300.0)), "accel")
+    (always,) = tones(lying(humming({30.0: 0.02})), "accel")
+    assert brief.where.t_end == pytest.approx(300.0, abs=60.0)
+    assert brief.statement.startswith(f"From 0 to {brief.where.t_end:.0f} s: vibration at 30.00 Hz")
+    assert always.statement.startswith("Vibration at 30.00 Hz")
+
+
 def test_a_single_pause_of_a_long_vibration_is_told() -> None:
     pause = (T < 250.0) | (T > 330.0)
     assert [f.effect for f in tones(lying(humming({30.0: 0.01}) * pause), "accel")] == ["unknown"]
