@@ -243,7 +243,7 @@ def test_slow_noise_of_any_kind_becomes_the_walk_of_the_same_allan_deviation() -
 
 
 def test_mavproxy_s_own_parser_reads_ardupilot_s_file(tmp_path: Path) -> None:
-    mavparm = pytest.importorskip("pymavlink.mavparm", reason="pip install pymavlink")
+    mavparm = pytest.importorskip("pymavlink.mavparm", reason="needs pymavlink (extra conventions)")
     path = tmp_path / "imu.param"
     path.write_text(written("ardupilot", random_imu(3)))
     read = mavparm.MAVParmDict()
@@ -253,7 +253,7 @@ def test_mavproxy_s_own_parser_reads_ardupilot_s_file(tmp_path: Path) -> None:
 
 def test_openvins_own_parser_reads_kalibr_s_file(tmp_path: Path) -> None:
     """It reads with OpenCV, kalibr with PyYAML."""
-    cv2 = pytest.importorskip("cv2", reason="pip install opencv-python-headless")
+    cv2 = pytest.importorskip("cv2", reason="needs OpenCV (extra conventions)")
     path = tmp_path / "imu.yaml"
     path.write_text(written("kalibr", random_imu(3)))
     chain = yaml.safe_load(path.read_text())["imu0"]
@@ -266,7 +266,7 @@ def test_openvins_own_parser_reads_kalibr_s_file(tmp_path: Path) -> None:
 
 def test_what_is_written_for_gazebo_is_sdf_by_its_schema() -> None:
     """The schema is of our own writing, from SDFormat's published descriptions (its head names them)."""
-    xmlschema = pytest.importorskip("xmlschema", reason="needs xmlschema (extra dev)")
+    xmlschema = pytest.importorskip("xmlschema", reason="needs xmlschema (extra conventions)")
     schema = xmlschema.XMLSchema(str(Path(__file__).parents[2] / "support" / "sdf_imu.xsd"))
     whole = written("gazebo", noisy())
     for text in (whole, written("gazebo", random_imu(3))):
