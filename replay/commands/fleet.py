@@ -88,8 +88,9 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
 ) -> None:
     """Calibrate and diagnose all RECORDINGS, a folder or a pattern in quotes, in parallel.
 
-    A folder is searched for recordings in every format that is recognised by content; a pattern finds those
-    of other names. What phyphox, Sensor Logger and ROS 2 write as a folder is one recording.
+    A folder is searched for recordings in every format that is recognised by content, whatever the files are
+    called; of a pattern all files are taken. What phyphox, Sensor Logger, ROS 2 and KITTI write as a folder
+    is one recording.
 
     Writes recordings.parquet (one row per recording: device, parameters with standard deviations, verdict)
     and findings.parquet into the folder of results. Called again, it continues with recordings that are new
@@ -102,17 +103,18 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     except ImportError as error:
         raise click.UsageError(_LACKING.format(error)) from error
     try:
-        recordings_found = discovery.find(recordings, format_)
+        listing = discovery.find(recordings, format_)
     except discovery.NoRecordingsError as error:
         raise click.UsageError(str(error)) from error
     made_by = f"stillcal {__version__} {format_} {watch}{'' if no_diagnosis else ' diagnosed'}"
     results = results_folder.Results(out, made_by)
-    tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in recordings_found]
+    tasks = [Task(recording, format_, watch, not no_diagnosis) for recording in listing.recordings]
     todo = results.todo(tasks)
     if not quiet:
-        click.echo(
-            f"{len(recordings_found)} recordings, {len(recordings_found) - len(todo)} of them already done"
-        )
+        click.echo(f"{len(tasks)} recordings, {len(tasks) - len(todo)} of them already done")
+        if listing.passed_over:
+            shown = ", ".join(listing.passed_over[:8]) + (", ..." if len(listing.passed_over) > 8 else "")
+            click.echo(f"passed over, since they are no recordings: {shown}")
     began = time.monotonic()
     if todo:
         _examine(todo, results, _client(scheduler, workers), quiet)

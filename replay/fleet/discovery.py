@@ -3,30 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from stillcal.replay.formats.claims import beside
 from stillcal.replay.formats.columns import builtin_formats, load_map
+from stillcal.replay.formats.recognition.candidates import is_one_recording, may_be_recording
 from stillcal.replay.formats.recognition.opened import AUTO, other_file
-
-TEXTS = (".csv", ".csv.gz")
-"""How recordings end whose format is given."""
-
-LOGS = (".ulg", ".bin", ".bag", ".db3", ".mcap", ".cwa", ".parquet", ".h5", ".hdf5", ".mat", ".npz", ".zip")
-"""How recordings end besides, where the content of each says its format (docs/formats.md)."""
-
-EXPORTS = frozenset(
-    {
-        "metadata.yaml",  # of a ROS 2 bag
-        "Raw Data.csv",  # phyphox
-        "Accelerometer.csv",  # phyphox
-        "TotalAcceleration.csv",  # Sensor Logger
-        "AccelerometerUncalibrated.csv",  # Sensor Logger
-    }
-)
-"""Files that make their folder one recording."""
+from stillcal.replay.formats.recognition.pairs import rates_file
 
 RESULTS = ("recordings.parquet", "findings.parquet")
 """How a fleet's own results end, which are no recordings."""
@@ -68,31 +53,48 @@ class FoundRecording:
         return sum(s.st_size for s in stats), max(s.st_mtime_ns for s in stats)
 
 
-def find(where: str, format: str = "csv") -> list[FoundRecording]:
+@dataclass(frozen=True, slots=True)
+class Listing:
+    """What was found. passed_over: files that are no recordings and belong to none, by their names."""
+
+    recordings: list[FoundRecording]
+    passed_over: list[str]
+
+
+def find(where: str, format: str = AUTO) -> Listing:
     """Return the recordings below the folder `where`, or those that the pattern `where` fits, by name.
 
-    A pattern may hold ** for any depth. A folder is searched for TEXTS and, where the format is "auto", for
-    LOGS and folders that are one recording (EXPORTS); files of other names need a pattern. Results of a
-    fleet are no recordings. Raises NoRecordingsError where there is none.
+    A folder is searched for files and folders that TRACE may be, whatever they are called. A pattern may hold
+    ** for any depth; all files that it fits are taken. Results of a fleet are no recordings. Raises
+    NoRecordingsError where there is none.
     """
     wild = bool(_WILD & set(where)) and not Path(where).exists()
     root = _root(where) if wild else Path(where)
-    automatic = format == AUTO
-    paths = root.glob(str(Path(where).relative_to(root))) if wild else _recordings_in(root, automatic)
     rules = () if format == "rest" else _rules(format)
-    recordings = sorted(
-        p
-        for p in paths
-        if not p.name.startswith(".") and (p.is_file() or (automatic and p.is_dir() and _is_export(p)))
-    )
-    others = {other for p in recordings if (other := other_file(p, rules)) is not None}
-    recordings_found = [_found_recording(p, root, rules) for p in recordings if p not in others]
-    if not recordings_found:
-        sought = "recording" if automatic else " or ".join(TEXTS)
-        there = f"no {sought} below" if root.exists() else "no file or folder"
-        what = "no file matches" if wild else there
+    there = sorted(root.glob(str(Path(where).relative_to(root))) if wild else _files_in(root))
+    seen = [p for p in there if not p.name.startswith(".") and not p.name.endswith(RESULTS)]
+    taken = [p for p in seen if (wild and p.is_file()) or _is_recording(p)]
+    pairs = {p: other for p in taken if (other := _other(p, rules)) is not None}
+    first = [p for p in taken if p not in set(pairs.values())]
+    recordings = [_found_recording(p, root, pairs.get(p)) for p in first]
+    if not recordings:
+        there_is = "no recording below" if root.exists() else "no file or folder"
+        what = "no file matches" if wild else there_is
         raise NoRecordingsError(f"{what} {where}; name a folder of recordings or a pattern in quotes")
-    return recordings_found
+    belonging = {file for recording in recordings for file in recording.files}
+    others = [p for p in seen if p not in taken and p not in belonging and p.is_file()]
+    return Listing(recordings, [_inside(p, root) for p in others])
+
+
+def _is_recording(path: Path) -> bool:
+    return is_one_recording(path) if path.is_dir() else may_be_recording(path)
+
+
+def _other(path: Path, rules: Sequence[tuple[str, str]]) -> Path | None:
+    """Return the gyroscope's own file that is read with an accelerometer's, None where there is none."""
+    if path.is_dir():
+        return None
+    return other_file(path, tuple(rules)) or rates_file(path)
 
 
 def _rules(format: str) -> tuple[tuple[str, str], ...]:
@@ -103,21 +105,16 @@ def _rules(format: str) -> tuple[tuple[str, str], ...]:
     return gyroscope.other_file if gyroscope else ()
 
 
-def _recordings_in(root: Path, automatic: bool) -> Iterator[Path]:
-    if not root.is_dir():
+def _files_in(root: Path) -> Iterator[Path]:
+    """Yield the file `root`, or the files in it and the folders in it that are one recording."""
+    if root.is_file():
         yield root
-    endings = (*TEXTS, *LOGS) if automatic else TEXTS
     for folder, folders, files in os.walk(root):
-        if automatic and _is_export(Path(folder)):
+        if is_one_recording(Path(folder)):
             folders.clear()
             yield Path(folder)
         else:
-            sought = (n for n in files if n.lower().endswith(endings) and not n.endswith(RESULTS))
-            yield from (Path(folder, name) for name in sought)
-
-
-def _is_export(folder: Path) -> bool:
-    return any((folder / name).is_file() for name in EXPORTS)
+            yield from (Path(folder, name) for name in files)
 
 
 def _root(pattern: str) -> Path:
@@ -127,11 +124,15 @@ def _root(pattern: str) -> Path:
     return Path(*parts[:first])
 
 
-def _found_recording(path: Path, root: Path, rules: tuple[tuple[str, str], ...]) -> FoundRecording:
-    inside = path.relative_to(root) if path != root else Path(path.name)
-    other = other_file(path, rules)
+def _inside(path: Path, root: Path) -> str:
+    return str(path.relative_to(root) if path != root else Path(path.name))
+
+
+def _found_recording(path: Path, root: Path, other: Path | None) -> FoundRecording:
+    name = _inside(path, root)
+    folders = Path(name).parts[:-1]
     if path.is_dir():
-        whole = tuple(sorted(p for p in path.rglob("*") if p.is_file()))
-        return FoundRecording(path, str(inside), inside.parts[:-1], whole)
+        return FoundRecording(path, name, folders, tuple(sorted(p for p in path.rglob("*") if p.is_file())))
     around = (beside(path, ".json"), beside(path, ".events.jsonl"), *([other] if other else []))
-    return FoundRecording(path, str(inside), inside.parts[:-1], (path, *(p for p in around if p.is_file())))
+    files = dict.fromkeys((path, *(p for p in around if p.is_file())))
+    return FoundRecording(path, name, folders, tuple(files))

@@ -32,6 +32,9 @@ from stillcal.replay.formats.recognition.settle import rate_unit_shown
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable
 
+FOLDER_INDEX = "metadata.yaml"
+"""A file that makes its folder a ROS 2 bag."""
+
 IMU, TEMPERATURE = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Temperature"
 _ENDINGS = {magic.ROS1: ".bag", magic.ROS2: ".db3"}
 _DOUBLES = 37
@@ -98,7 +101,7 @@ def open_ros(source: Source, kind: str) -> Log:
 
 
 def open_ros_folder(folder: Path) -> Log:
-    """Open a ROS 2 bag that is a folder with metadata.yaml. Raises TraceError as open_ros."""
+    """Open a ROS 2 bag that is a folder with FOLDER_INDEX. Raises TraceError as open_ros."""
     library("rosbags", "ros", folder, magic.ROS2)
     size = sum(path.stat().st_size for path in folder.iterdir() if path.is_file())
     return _Bag(folder, _Rosbag(folder, None), magic.ROS2, size, folder).log()

@@ -79,6 +79,12 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     return header, next(rows, first) - header - 1
 
 
+def looks_like_a_table(lines: Sequence[str]) -> bool:
+    """Whether lines of text hold a row of numbers, or a header that names a sensor's axes."""
+    names = ([cell.strip().strip('"') for cell in re.split(r"[;,|\t ]", uncommented(line))] for line in lines)
+    return _first_row(lines) > 0 or _is_row(lines[0]) or any(map(find_axes, names))
+
+
 def _first_row(lines: Sequence[str]) -> int:
     """Return the place of the first row of numbers, 0 where there is none."""
     short = [_splits(line, delimiter_of(line)) for line in lines]

@@ -16,7 +16,7 @@ from stillcal.replay.formats.logs.betaflight import open_betaflight
 from stillcal.replay.formats.logs.dataflash import open_dataflash
 from stillcal.replay.formats.logs.gnss_logger import open_gnss_logger
 from stillcal.replay.formats.logs.json_log import json_tables
-from stillcal.replay.formats.logs.ros import open_ros, open_ros_folder
+from stillcal.replay.formats.logs.ros import FOLDER_INDEX, open_ros, open_ros_folder
 from stillcal.replay.formats.logs.sample_folder import sample_folder, sample_members
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
@@ -64,7 +64,7 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
     column_map = None if format is None else load_map(format)
     found = located(path)
     if str(path) != STANDARD_INPUT and found.is_dir():
-        if (found / "metadata.yaml").is_file():
+        if (found / FOLDER_INDEX).is_file():
             return open_ros_folder(found)
         log = sample_folder(found) if column_map is None else None
         return log or _archive(found, members_of_folder(found), column_map)

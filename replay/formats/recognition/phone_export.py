@@ -36,6 +36,9 @@ _UNCALIBRATED = ("AccelerometerUncalibrated", "GyroscopeUncalibrated")
 _CALIBRATED = ("TotalAcceleration", "Gyroscope")
 _PHYPHOX = ("Accelerometer.csv", "Raw Data.csv")
 
+EXPORTED_FILES = (*_PHYPHOX, f"{_UNCALIBRATED[0]}.csv", f"{_CALIBRATED[0]}.csv")
+"""Files by which a folder is seen to be one export."""
+
 
 def members_of_folder(folder: Path) -> dict[str, Source]:
     """Return the files of a folder, and of the folders in it, by their path in it. Raises TraceError."""

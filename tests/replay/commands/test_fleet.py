@@ -83,7 +83,7 @@ def test_what_is_finished_is_kept_and_a_bad_recording_is_a_row(phones: Path, tmp
     path.write_text(path.read_text().replace("nan", "0.1"))
     os.utime(phones / rows[0]["name"])  # as a copy would: another time, the same content
     results = results_folder.Results(out, bad["made_by"])
-    (changed,) = results.todo([Task(found) for found in discovery.find(str(phones))])
+    (changed,) = results.todo([Task(found) for found in discovery.find(str(phones)).recordings])
     assert changed.recording.name == bad["name"]
     results.keep(changed, examine(changed))
     assert next(r for r in results.finish()[0] if r["name"] == bad["name"])["reason"] != bad["reason"]

@@ -68,7 +68,7 @@ def many(phones: Path, tmp_path: Path) -> list[Task]:
     one = sorted(p.parent for p in phones.rglob("recording.csv") if "Spoilt" not in str(p))
     for i in range(COPIES):
         shutil.copytree(one[i % len(one)], tmp_path / "fleet" / f"model-{i % 3}" / f"phone-{i:03d}")
-    return [Task(found, diagnose=False) for found in discovery.find(str(tmp_path / "fleet"))]
+    return [Task(found, diagnose=False) for found in discovery.find(str(tmp_path / "fleet")).recordings]
 
 
 @pytest.mark.slow
