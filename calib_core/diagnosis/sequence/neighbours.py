@@ -18,12 +18,6 @@ REACH = 2
 LEAST_SPREAD = 1e-12
 """m/s^2 or rad/s, below what any value is given in: an axis that does not move."""
 
-LINE = 3.0
-"""Times the amplitude of its neighbourhood to which a line of the spectrum is cut."""
-
-AROUND = 101
-"""Frequencies of a line's neighbourhood."""
-
 
 def residual(values: Array) -> Array:
     """Return what neighbours leave of values (n, k): (n - 4, k), the first of the third sample."""
@@ -34,21 +28,3 @@ def residual(values: Array) -> Array:
 def spread(left: Array) -> Array:
     """Return the robust spread (k,) of residuals (n, k), more than nothing."""
     return np.asarray(np.maximum(1.4826 * np.median(np.abs(left), axis=0), LEAST_SPREAD))
-
-
-def without_lines(left: Array) -> Array:
-    """Return residuals (n, k) with the lines of their spectrum cut: what vibrates is not noise."""
-    return np.column_stack([_without_lines(axis) for axis in left.T])
-
-
-def _without_lines(left: Array) -> Array:
-    """Return one axis (n,) of them; by itself, for together a day's spectra take much memory."""
-    from scipy.fft import next_fast_len  # noqa: PLC0415 - the daemon stays light
-    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
-
-    length = next_fast_len(len(left), real=True)
-    spectrum = np.fft.rfft(left, length)
-    size = np.abs(spectrum)
-    usual = np.sqrt(uniform_filter1d(np.minimum(size, LINE * np.median(size)) ** 2, AROUND))
-    spectrum *= np.minimum(1.0, LINE * usual / np.maximum(size, 1e-300))
-    return np.asarray(np.fft.irfft(spectrum, length)[: len(left)])

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +17,14 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
-from stillcal.calib_core.diagnosis.sequence.neighbours import (
-    LEAST_SPREAD,
-    REACH,
-    residual,
-    spread,
+from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, residual, spread
+from stillcal.calib_core.diagnosis.sequence.spectrum import (
+    ASIDE,
+    OWN,
+    lines,
+    without_bands,
     without_lines,
+    without_sines,
 )
 from stillcal.calib_core.streams.samples import Samples
 
@@ -29,17 +32,18 @@ DRIVER = "count of the samples"
 LARGEST = 64
 """Samples in a batch, at most."""
 
-ASIDE, OWN = 16, 4
-"""Lines of the neighbourhood on either side, and those between that are a line's own."""
-
-INDEPENDENT = 2 * ASIDE / 1.5
-"""Of these: neighbouring lines under a Hann window are correlated."""
-
 SLOWEST = 0.02
 """Lines a sample below which what changes is the phone's surroundings."""
 
 FARTHEST = 4.0
 """Spreads at which the size of a residual is held."""
+
+BURST = 1.0 / 32.0
+"""Frequencies, a sample, on either side of a tone's that its bursts take: of 32 samples and more."""
+
+LOUD = 2.0
+"""Times the power of the quietest tenth from which `LARGEST` samples are not noise alone, which is a quarter
+below the mean by chance."""
 
 LEAST_SAMPLES = 1000
 MOST_HELD = 0.01
@@ -48,15 +52,18 @@ MOST_HELD = 0.01
 Where values are held, residuals are as regular as a driver holds them."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Noise:
-    """What neighbours leave of each sample at rest, nothing where the phone moved.
+    """What neighbours leave of each sample, in spreads; nothing where the phone moved.
 
-    size: (m,) of all axes, free of lines, less its mean; signed: (m, 3), in spreads, held at `FARTHEST`.
+    rest: (m,), where the phone lay; values, plain: (m, 3), `plain` without vibrations; vibrations: (k,) their
+    frequencies, a sample.
     """
 
-    size: Array
-    signed: Array
+    rest: NDArray[np.bool_]
+    values: Array
+    plain: Array
+    vibrations: Array
 
     @classmethod
     def of(cls, xyz: Array, still: NDArray[np.bool_]) -> Noise | None:
@@ -66,21 +73,72 @@ class Noise:
             return None
         same = np.diff(xyz, axis=0)[still[1:]] == 0.0
         held = float(same.all(axis=1).mean() - same.mean(axis=0).prod())
-        left = residual(xyz)
+        left = np.where(rest[:, None], residual(xyz), 0.0)
         unit = spread(left[rest])
         if held > MOST_HELD or (unit <= LEAST_SPREAD).any():
             return None
-        left = np.where(rest[:, None], left / unit, 0.0)
-        size = np.minimum(np.abs(without_lines(left)), FARTHEST).mean(axis=1)
-        return cls(np.where(rest, size - size[rest].mean(), 0.0), np.clip(left, -FARTHEST, FARTHEST))
+        plain, vibrations = without_sines(left, rest)
+        return cls(rest, left / unit, plain / spread(plain[rest]), vibrations)
+
+    @cached_property
+    def hushed(self) -> Array:
+        """The same as `plain`, its lines cut."""
+        return without_lines(self.plain)
+
+    @cached_property
+    def size(self) -> Array:
+        """The size (m,) of all axes, less its mean, without vibrations."""
+        return _size(self.hushed, self.rest)
+
+    @cached_property
+    def calm(self) -> NDArray[np.bool_]:
+        """Where (m,) noise is no louder than where it is quiet: a burst of a vibration is, no batch is."""
+        from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
+
+        power = np.minimum(np.abs(self.hushed), FARTHEST) ** 2
+        there = np.maximum(uniform_filter1d(self.rest.astype(np.float64), LARGEST), 1.0 / LARGEST)
+        near = uniform_filter1d(power, LARGEST, axis=0) / there[:, None]
+        quiet = near < LOUD * np.quantile(near[self.rest], 0.1, axis=0)
+        return np.asarray(self.rest & quiet.all(axis=1))
+
+    def lines_of_size(self) -> Array:
+        """Return the lines of the size of calm noise."""
+        return lines(_size(self.hushed, self.calm))
+
+    def lines_of_size_without_tone(self, beat: float) -> Array:
+        """Return the same without frequencies at which a tone would give the size this beat.
+
+        The square of a sine has twice its frequency, of which samples tell no more than what is left of whole
+        turns. Noise that is larger at some samples is so at all frequencies.
+        """
+        bare = without_bands(self.hushed, (beat / 2.0, 0.5 - beat / 2.0), BURST)
+        return lines(_size(bare, self.calm))
+
+    def lines_of_values(self) -> list[Array]:
+        """Return the lines of calm values, by axis, without what vibrations leak elsewhere."""
+        out = []
+        for values, plain in zip(self.values.T, self.plain.T, strict=True):
+            every = lines(np.clip(values, -FARTHEST, FARTHEST))
+            bare = lines(np.where(self.calm, np.clip(plain, -FARTHEST, FARTHEST), 0.0))
+            for frequency in self.vibrations:
+                k = round(frequency * 2 * (every.size - 1))
+                bare[k - OWN : k + OWN + 1] = every[k - OWN : k + OWN + 1]
+            out.append(bare)
+        return out
+
+
+def _size(values: Array, used: NDArray[np.bool_]) -> Array:
+    """Return the size (m,) of values (m, 3) of all axes, less its mean, nothing where they are not used."""
+    size = np.minimum(np.abs(values), FARTHEST).mean(axis=1)
+    return np.where(used, size - size[used].mean(), 0.0)
 
 
 def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     """Find noise at rest that follows the count of the samples, by its size or by its values."""
-    size = lines(noise.size)
+    size = noise.lines_of_size()
     period, batched = batch([size], tones=True)
-    beat, single = _beat(size)
-    other, offset = batch([lines(axis) for axis in noise.signed.T], tones=True)
+    beat, single = _beat(size, noise)
+    other, offset = batch(noise.lines_of_values(), tones=True)
     nats, length, say = max(
         (
             batched,
@@ -96,19 +154,6 @@ def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     sizes = sized({"period_samples": (length, "samples")})
     seen = Seen(nats - float(np.log(3.0)))
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=told, seen=seen)
-
-
-def lines(size: Array) -> Array:
-    """Return nats (k,) of lines of a series (m,), up to half a period a sample: by chance exponential."""
-    from scipy.fft import next_fast_len  # noqa: PLC0415 - the daemon stays light
-    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
-
-    length = next_fast_len(size.size + 1, real=True) // 2 * 2
-    power = np.abs(np.fft.rfft(size * np.hanning(size.size), length)) ** 2
-    own, every = 2 * OWN + 1, 2 * (ASIDE + OWN) + 1
-    around = every * uniform_filter1d(power, every) - own * uniform_filter1d(power, own)
-    usual = np.maximum(around / (every - own), 1e-300)
-    return np.asarray(INDEPENDENT * np.log1p(power / usual / INDEPENDENT))
 
 
 def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
@@ -132,9 +177,10 @@ def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
     return best
 
 
-def _beat(line: Array) -> tuple[float, float]:
-    """Return the clearest line, a sample, and nats for it."""
+def _beat(line: Array, noise: Noise) -> tuple[float, float]:
+    """Return the clearest line of the size, a sample, and nats for it, without what a tone may make."""
     n = 2 * (line.size - 1)
     first, last = int(SLOWEST * n), line.size - ASIDE
     k = first + int(np.argmax(line[first:last]))
-    return k / n, of_chance(-float(line[k]), float(last - first))
+    told = min(float(line[k]), float(noise.lines_of_size_without_tone(k / n)[k]))
+    return k / n, of_chance(-told, float(last - first))

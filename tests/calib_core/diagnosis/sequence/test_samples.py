@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
-from stillcal.calib_core.diagnosis.sequence.places import batch
+from stillcal.calib_core.diagnosis.sequence.places import Noise, batch, by_count
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.hhar_still import recordings
 
@@ -155,6 +155,46 @@ def test_a_value_that_is_off_in_every_batch_is_no_vibration() -> None:
     assert found.parameters["period_samples"].value == 20.0
     wave = np.rint(turning(6) + 5.0 * np.sin(2.0 * np.pi * np.arange(18000) / 10.0)[:, None])
     assert said(wave) == []
+
+
+def shaken(frequency: float, spreads: float, on: float, seed: int) -> np.ndarray:
+    """Codes of what lies on a machine; on: s of every five times as long in which it runs, at any moment."""
+    codes, rng = turning(seed, 10.0), np.random.default_rng(seed)
+    t = np.arange(len(codes)) / RATE
+    begins = np.arange(0.0, t[-1], 5.0 * on)
+    begins += rng.uniform(0.0, 4.0 * on, begins.size)
+    runs = ((t[:, None] >= begins) & (t[:, None] < begins + on)).any(axis=1)
+    wave = 6.0 * spreads * np.sin(2.0 * np.pi * frequency * t) * runs
+    return np.rint(codes + wave[:, None] * [0.3, 0.2, 0.93])
+
+
+@pytest.mark.parametrize(("frequency", "spreads", "on"), [(11.3, 5.0, 2.0), (15.3, 10.0, 2.0)])
+def test_a_vibration_in_bursts_does_not_follow_the_count(frequency: float, spreads: float, on: float) -> None:
+    """It gives the size of the noise a line at twice its frequency."""
+    for seed in range(2):
+        assert said(shaken(frequency, spreads, on, seed)) == []
+
+
+@pytest.mark.parametrize("frequency", [11.3, 13.1, 17.3])
+@pytest.mark.parametrize("amplitude", [0.05, 1.0])
+def test_a_loud_vibration_does_not_follow_the_count(frequency: float, amplitude: float) -> None:
+    """It leaks to all frequencies, as rests begin and end."""
+    t = np.arange(45_000) / RATE
+    xyz = np.random.default_rng(7).normal(0.0, 0.002, (t.size, 3))
+    xyz[:, 2] += amplitude * np.sin(2.0 * np.pi * frequency * t)
+    noise = Noise.of(xyz, np.arange(t.size) % 1875 > 150)
+    assert noise is not None
+    assert by_count(Samples.checked(Sensor.ACCELEROMETER, t, xyz), "accel", noise) is None
+
+
+@pytest.mark.parametrize("ratio", [1.04, 1.23])
+def test_a_sensor_resampled_by_interpolation_beats(ratio: float) -> None:
+    codes = turning(3, 8.0)
+    at = np.arange(0.0, len(codes) - 1.0, ratio)
+    row, part = at.astype(int), (at % 1.0)[:, None]
+    (found,) = said((1.0 - part) * codes[row] + part * codes[row + 1])
+    assert found.where.driver == "count of the samples"
+    assert found.parameters["period_samples"].value == pytest.approx(1.0 / (ratio % 1.0), rel=1e-3)
 
 
 def test_one_overtone_alone_is_no_batch() -> None:
