@@ -135,6 +135,13 @@ def _factor(shape: Array, rows: NDArray[np.bool_]) -> Array:
     return np.asarray(np.linalg.cholesky(shape[np.ix_(rows, rows)]))
 
 
+def _whitened(lower: Array, columns: Array) -> Array:
+    """Return columns (m, k) with errors of the covariance that `lower` (m, m) factorises made white."""
+    from scipy.linalg import solve_triangular  # noqa: PLC0415 - the daemon stays light
+
+    return np.asarray(solve_triangular(lower, columns, lower=True, check_finite=False))
+
+
 def _dealt(t: Array, start: float, end: float) -> NDArray[np.int64]:
     """Return the fold (n,) of bins at times t (n,): stretches of the recording, dealt in turn."""
     stretches = FOLDS * STRETCHES
@@ -178,7 +185,7 @@ class _Part:
     def sums(self, rows: NDArray[np.bool_], lower: Array, scale: float | None = None) -> _Sums:
         """Return what the bins `rows` say. lower: (m, m) factor of their shape; scale: theirs by default."""
         both = np.column_stack([self.baseline, self.effects, self.y])[rows]
-        white = np.asarray(np.linalg.solve(lower, both))
+        white = _whitened(lower, both)
         p = self.baseline.shape[1]
         own = np.linalg.cholesky(white[:, :p].T @ white[:, :p] + DIFFUSE * np.eye(p))
         taken = np.linalg.solve(own, white[:, :p].T @ white[:, p:])
@@ -208,7 +215,7 @@ class _Part:
         away = (self.y - self.effects @ size - self.baseline @ offset)[~rows]
         if self.view.absorbed is None:
             return np.asarray(away)
-        known = np.linalg.solve(sums.factor, self.view.absorbed[rows])
+        known = _whitened(sums.factor, self.view.absorbed[rows])
         parameters = known.T @ (white - baseline @ offset)
         return np.asarray(away - self.view.absorbed[~rows] @ parameters)
 

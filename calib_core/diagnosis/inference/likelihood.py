@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -105,7 +106,8 @@ def reduce_view(
     last = np.arange(design.shape[2], design.shape[2] + always.shape[2])
     columns = [np.concatenate([own, last]) for own in [*columns, last[:0]]]
     design = np.concatenate([design, always], axis=2)
-    blocks, groups = len(view.y), _grouped(columns)
+    seen = np.abs(design).max(axis=(0, 1)) > 0.0
+    blocks, groups = len(view.y), _grouped([own[seen[own]] for own in columns])
     few = stacked(view, design[:, :, :0], extra)
     volume = -2.0 * blocks * float(np.linalg.slogdet(made[0].rotation)[1])
     ends = np.cumsum([0, *(len(family.diagonals) for family in made)])
@@ -122,7 +124,7 @@ def reduce_view(
         lost = (taken * roots[:, None, :]) @ flat
         log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
         for (_, own), gram in zip(groups, grams, strict=True):
-            _fill(gram[:, start:end], turned, 1.0 / family.diagonals, lost, own)
+            _fill(gram[:, start:end], turned.swapaxes(1, 2), 1.0 / family.diagonals, lost, own)
         prior = np.log(family.weight)
         constant = prior - 0.5 * (log_det + determinant)
         parts.append((prior, constant, np.einsum("gn,gn->g", y, y), (y * roots) @ flat))
@@ -134,7 +136,7 @@ def reduce_view(
         constant,
         yy,
         [xy[:, c] for c in columns],
-        _apart(groups, grams),
+        _apart(groups, grams, [seen[own] for own in columns]),
         view.known + view.y.size - baseline,
         names,
         np.concatenate([f.power for f in made]),
@@ -156,6 +158,7 @@ def with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
     return [replace(v, settled=beta, left=residuals(v, NOTHING, beta)) for v in views]
 
 
+@cache
 def _nearness(names: tuple[str, ...]) -> Array:
     """Return the probability (G, G) of shape j given the shared shape i: one family, nearly one strength."""
     kind = np.array(names)
@@ -175,20 +178,18 @@ def _grouped(columns: list[Array]) -> list[tuple[list[int], Array]]:
 def _fill(gram: Array, turned: Array, weight: Array, lost: Array, columns: Array) -> None:
     """Write the inner products of the columns (r, k) of r hypotheses into gram (r, S, k, k).
 
-    turned: (b, n, M) all columns in axes where the S shapes are diagonal, weight: (S, n) their inverse
+    turned: (b, M, n) all columns in axes where the S shapes are diagonal, weight: (S, n) their inverse
     variances there. lost: (S, c, M) what of the columns lies along the c directions that are projected out.
     The products of columns are the same under all shapes, so one matrix product weighs them for all.
     """
     k = columns.shape[1]
-    i, j = np.triu_indices(k)
-    at_once = max(AT_ONCE // max(weight.shape[1] * i.size, 1), 1)
+    place = _places(k)
+    at_once = max(AT_ONCE // max(weight.shape[1] * k * (k + 1) // 2, 1), 1)
     for first in range(0, len(columns), at_once):
         some = slice(first, first + at_once)
-        left, right = columns[some][:, i], columns[some][:, j]
-        pairs = np.asarray(sum(block[:, left] * block[:, right] for block in turned))
-        part = (weight @ pairs.reshape(len(pairs), -1)).reshape(len(weight), *left.shape).swapaxes(0, 1)
-        gram[some][..., i, j] = part
-        gram[some][..., j, i] = part
+        pairs = _products(turned[:, columns[some]])
+        part = pairs @ weight.T
+        gram[some] = part[:, place].transpose(0, 3, 1, 2)
     away = lost[:, :, columns].transpose(2, 0, 3, 1)
     least = ROUNDING * np.einsum("...ii->...i", gram)
     gram -= away @ np.swapaxes(away, -1, -2)
@@ -196,10 +197,53 @@ def _fill(gram: Array, turned: Array, weight: Array, lost: Array, columns: Array
     gram[..., d, d] = np.maximum(gram[..., d, d], least)
 
 
-def _apart(groups: list[tuple[list[int], Array]], grams: list[Array]) -> list[Array]:
-    """Return the inner products (G, k, k) of each hypothesis under every shape, in place."""
+def _products(columns: Array) -> Array:
+    """Return the products (r, k (k + 1) / 2, n) of any two of each hypothesis' columns (b, r, k, n).
+
+    They are summed over the b blocks; the order is that of `_places`.
+    """
+    r, k, n = columns.shape[1:]
+    out = np.empty((r, k * (k + 1) // 2, n))
+    first, *others = columns
+    start = 0
+    for apart in range(k):
+        to = out[:, start : start + k - apart]
+        np.multiply(first[:, : k - apart], first[:, apart:], out=to)
+        for block in others:
+            to += block[:, : k - apart] * block[:, apart:]
+        start += k - apart
+    return out
+
+
+@cache
+def _places(k: int) -> Index:
+    """Return where the product of columns i and j lies (k, k): squares, then neighbours, and so on."""
+    place = np.zeros((k, k), dtype=np.int64)
+    start = 0
+    for apart in range(k):
+        i = np.arange(k - apart)
+        place[i, i + apart] = place[i + apart, i] = start + i
+        start += k - apart
+    return place
+
+
+def _apart(groups: list[tuple[list[int], Array]], grams: list[Array], seen: list[Array]) -> list[Array]:
+    """Return the inner products (G, k, k) of each hypothesis under every shape.
+
+    seen: for each, which of its k columns are not zero in this view; the groups have these alone.
+    """
     of = {i: gram[j] for (rows, _), gram in zip(groups, grams, strict=True) for j, i in enumerate(rows)}
-    return [of[i] for i in range(len(of))]
+    return [_among_zeros(of[i], own) for i, own in enumerate(seen)]
+
+
+def _among_zeros(gram: Array, seen: Array) -> Array:
+    """Return inner products (G, k, k) from those of the columns that are not zero."""
+    if seen.all():
+        return gram
+    out = np.zeros((len(gram), seen.size, seen.size))
+    rows = np.flatnonzero(seen)
+    out[:, rows[:, None], rows] = gram
+    return out
 
 
 def stacked(view: View, design: Array, extra: Array | None) -> Array:
@@ -312,9 +356,15 @@ def gain_bound(views: Sequence[Reduced], h: int) -> float:
 
 
 def _least(view: Reduced, h: int) -> Array:
+    """Return the least sum of squares (G,) under each shape, with what is shared held where it is settled."""
     gram = view.own(h)
     k = gram.shape[1]
+    seen = gram[0].diagonal() > 0.0
+    if not seen.any():
+        return view.left
     xy = view.pulls[h][:, :k] - view.blocks[h][:, :k, k:] @ view.settled
+    if not seen.all():
+        gram, xy = gram[:, seen][:, :, seen], xy[:, seen]
     ridge = gram + 1e-9 * (np.einsum("gii->g", gram)[:, None, None] + 1e-300) * np.eye(gram.shape[1])
     solved = np.linalg.solve(ridge, xy[:, :, None])[:, :, 0]
     return np.asarray(np.maximum(view.left - np.einsum("gi,gi->g", xy, solved), 0.0))

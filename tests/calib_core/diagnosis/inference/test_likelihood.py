@@ -43,15 +43,17 @@ def test_the_sums_are_those_of_plain_algebra_though_what_was_found_came_twice(
     rng = np.random.default_rng(9)
     view = next(v for v in views if len(v.y) == 1)
     columns = rng.normal(size=(view.y.shape[1], 4))
+    columns[:, 2] = 0.0  # as an axis is that a view of another axis does not see
     found = rng.normal(size=(view.y.shape[1], 2))
     again = np.concatenate([found, 3.0 * found[:, :1], view.baseline[0][:, :1]], axis=1) if twice else found
-    reduced = reduce_view(view, columns[None], [np.arange(4), np.array([1])], again[None])
+    reduced = reduce_view(view, columns[None], [np.arange(4), np.array([1]), np.array([2])], again[None])
     plain = by_residual_projection(view, columns, found)
     for mine, theirs in zip(
         (reduced.yy, reduced.pulls[0], reduced.blocks[0]), zip(*plain, strict=True), strict=True
     ):
         np.testing.assert_allclose(mine, np.array(theirs), rtol=1e-7, atol=1e-7 * np.abs(theirs).max())
     np.testing.assert_allclose(reduced.blocks[1][:, 0, 0], reduced.blocks[0][:, 1, 1])
+    assert reduced.blocks[2].shape == (len(plain), 1, 1) and not reduced.blocks[2].any()
 
 
 def test_two_blocks_have_their_baselines_apart_and_what_was_found_together(views: list[View]) -> None:
