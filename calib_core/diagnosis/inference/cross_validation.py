@@ -89,29 +89,45 @@ def held_out(
         factors = [_factor(shape, r) for shape, r in zip(chosen, rows, strict=True)]
         known = [_known(each, rows, factors, count) for each, count in zip(parts, own, strict=True)]
         values = np.array([value for value, _, _ in known])
-        best = int(values.argmax())
-        _, size, sums = known[best]
-        training.append(float(values[best]))
+        training.append(float(values.max()))
         whole = [_factor(shape, np.ones_like(r)) for shape, r in zip(chosen, rows, strict=True)]
         every = [
             _everything(each, whole, some, count)
             for each, (_, _, some), count in zip(parts, known, own, strict=True)
         ]
         score += log_sum(np.array(every)) - log_sum(values)
-        misses += [
-            p.missed(r, s, size)
-            for p, r, s in zip(parts[best], rows, sums, strict=True)
-            if p.view.name != "tangent"
-        ]
+        misses += _missed(parts, rows, known, np.exp(values - log_sum(values)))
     left = np.concatenate(misses)
     rmse = rms(left)
     return HeldOut(score, rmse, tuple(training))
 
 
+def _missed(
+    parts: Sequence[Sequence[_Part]],
+    rows: Sequence[NDArray[np.bool_]],
+    known: Sequence[tuple[float, Array, list[_Sums]]],
+    weights: Array,
+) -> list[Array]:
+    """Return how far the left-out bins of each part are from what the candidates make expected.
+
+    weights: (candidates,) probabilities of the candidates, from the bins `rows`.
+    """
+    return [
+        np.asarray(
+            sum(
+                weight * each[i].missed(rows[i], sums[i], size)
+                for weight, each, (_, size, sums) in zip(weights, parts, known, strict=True)
+            )
+        )
+        for i in range(len(rows))
+        if parts[0][i].view.name != "tangent"
+    ]
+
+
 def _known(
     parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], factors: Sequence[Array], own: int
 ) -> tuple[float, Array, list[_Sums]]:
-    """Return the log evidence of the bins `rows`, the effects' likeliest sizes, and the bins' sums."""
+    """Return the log evidence of the bins `rows`, the effects' mean sizes, and the bins' sums."""
     sums = [p.sums(r, factor) for p, r, factor in zip(parts, rows, factors, strict=True)]
     return (*_evidence(sums, own), sums)
 
@@ -221,7 +237,7 @@ class _Part:
 
 
 def _evidence(sums: Sequence[_Sums], own: int) -> tuple[float, Array]:
-    """Return the log density of all parts with the effects' sizes integrated out, and the likeliest sizes.
+    """Return the log density of all parts with the effects' sizes integrated out, and their mean sizes.
 
     Nobody knows beforehand how large the first effect is, with `own` parameters: its prior is the mixture of
     the Bayes factor's. An effect with many parameters must not lose to one with few for its prior's width.
@@ -236,6 +252,6 @@ def _evidence(sums: Sequence[_Sums], own: int) -> tuple[float, Array]:
     half = np.linalg.solve(lower, (widths * target)[:, :, None])[:, :, 0]
     logs = np.log(lower.diagonal(axis1=1, axis2=2)).sum(axis=1)
     values = constant + 0.5 * (half**2).sum(axis=1) - logs
-    best = int(np.argmax(values))
-    value = log_sum(values) - float(np.log(len(values)))
-    return value, np.asarray(widths[best] * np.linalg.solve(lower[best].T, half[best]))
+    total = log_sum(values)
+    means = widths * np.linalg.solve(lower.transpose(0, 2, 1), half[:, :, None])[:, :, 0]
+    return total - float(np.log(len(values))), np.asarray(np.exp(values - total) @ means)

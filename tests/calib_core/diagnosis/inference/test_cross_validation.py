@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from stillcal.calib_core.arrays import Array
@@ -15,6 +16,7 @@ from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, held
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
 from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.maths.rms import rms
 from tests.support.diagnosis import nulls
 
 RAMP = Parameters("accel_bias_drift", "accel", (Linear("rate", "m/s^3", 3, 0.01),))
@@ -40,15 +42,21 @@ def shapes(scene: Scene) -> list[list[Array]]:
     return made
 
 
-def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
+def only_the_norm() -> tuple[Scene, Hypothesis, NDArray[np.int64]]:
+    """Return the hour with nothing but its norm view, without a baseline, its drift, and each bin's fold."""
     scene, ramp = hour()
     view = scene.views[0]
-    view = replace(view, baseline=np.zeros((1, view.y.size, 0)))
-    norm, (start, end) = replace(scene, views=(view,)), scene.bins.span
-    columns = ramp.columns[0][0] * ramp.sizes
-    shape, y = shapes(norm)[0][0], view.y[0]
+    view = replace(view, baseline=np.zeros((1, view.y.size, 0)), absorbed=None)
+    start, end = scene.bins.span
     at = (view.t - start) / (end - start)
     fold = np.minimum((at * 4 * FOLDS).astype(int), 4 * FOLDS - 1) % FOLDS
+    return replace(scene, views=(view,)), ramp, fold
+
+
+def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
+    norm, ramp, fold = only_the_norm()
+    columns = ramp.columns[0][0] * ramp.sizes
+    view, shape, y = norm.views[0], shapes(norm)[0][0], norm.views[0].y[0]
     expected = 0.0
     for k in range(FOLDS):
         rest = fold != k
@@ -59,6 +67,29 @@ def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
         expected += np.logaddexp.reduce([multivariate_normal.logpdf(y, cov=s) for s in spreads])
         expected -= np.logaddexp.reduce([multivariate_normal.logpdf(y[rest], cov=s[inside]) for s in spreads])
     assert held_out(norm, shapes(norm), [[ramp]]).log_score == pytest.approx(expected, abs=1e-3)
+
+
+def test_left_out_bins_are_compared_with_what_the_others_make_expected() -> None:
+    """The effect's sizes are averaged over their prior, and over the grid points, as likely as each is."""
+    norm, ramp, fold = only_the_norm()
+    late = replace(ramp, columns=tuple(np.maximum(c - 0.5 * c[:, -1:], 0.0) for c in ramp.columns))
+    view, shape, y = norm.views[0], shapes(norm)[0][0], norm.views[0].y[0]
+    missed = []
+    for k in range(FOLDS):
+        rest = fold != k
+        inside, likely, expected = np.ix_(rest, rest), [], []
+        for columns in (h.columns[0][0] * h.sizes for h in (ramp, late)):
+            left = float(y[rest] @ np.linalg.solve((shape + columns @ columns.T)[inside], y[rest]))
+            scale = (view.known + left) / (view.known + rest.sum())
+            for size in SIZES:
+                signal = size**2 * columns @ columns.T
+                spread = (scale * shape + signal)[inside]
+                likely.append(multivariate_normal.logpdf(y[rest], cov=spread))
+                expected.append(signal[np.ix_(~rest, rest)] @ np.linalg.solve(spread, y[rest]))
+        weights = np.exp(np.array(likely) - np.logaddexp.reduce(likely))
+        missed.append(y[~rest] - weights @ np.array(expected))
+    found = held_out(norm, shapes(norm), [[ramp], [late]])
+    assert found.rmse == pytest.approx(rms(np.concatenate(missed)), rel=1e-6)
 
 
 def test_an_effect_that_is_there_leaves_little_more_than_noise() -> None:
