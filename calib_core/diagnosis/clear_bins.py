@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
-from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
+from stillcal.calib_core.diagnosis.segments.vibration_gate import steady, without_lines
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
@@ -29,7 +29,8 @@ def still_bins(
     overview: Overview | None = None,
 ) -> Bins:
     """Return the bins in which the phone lay still, a vehicle's turns left out; overview: as in `cut`."""
-    return steady(cut(accelerometer, gyroscope, events, overview=overview))
+    bins = cut(accelerometer, gyroscope, events, overview=overview)
+    return steady(bins, without_lines(accelerometer, bins))
 
 
 def outside_of(bins: Bins, found: Sequence[Finding]) -> Bins:

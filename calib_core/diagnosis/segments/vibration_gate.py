@@ -1,6 +1,7 @@
 """Bins in which something shook the phone and turned it too: a car that creeps along lies still to no sensor.
 
-Vibration alone is no reason to leave a bin out: what shakes may shift a bias, which is then by its power.
+Vibration alone is no reason to leave a bin out: what shakes may shift a bias, which is then by its power. A
+machine that runs at its own speed turns nothing, however loud it is: its lines do not count as shaking.
 """
 
 from __future__ import annotations
@@ -8,8 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.samples import Samples
 
 LOUD = 2.0
 """Times the spread of the quietest tenth of the bins that a shaken one has."""
@@ -24,25 +29,74 @@ FEWEST = 6
 TURNED = 6.0
 """Robust standard deviations of the quiet bins' rates."""
 
+SEGMENT, LEAST_SAMPLES = 5.0, 100
+"""s of a spectrum, which tells apart 0.2 Hz, and samples that it has at least; where bins hold fewer, all
+power counts as shaking."""
 
-def steady(bins: Bins) -> Bins:
+LEAST_LINE_HZ = 4.0
+"""Hz below which what shakes is no machine: cars sway at one or two."""
+
+AROUND, OWN = 25, 3
+"""Frequencies of a line's neighbourhood, and those on either side that a Hann window gives it."""
+
+LINE = 8.0
+"""Times the median of its neighbourhood from which a frequency is a line, as noise that is averaged over bins
+never is."""
+
+
+def steady(bins: Bins, shaking: Array) -> Bins:
     """Return the bins without shaken ones whose rate is neither that of quiet bins nor follows the power.
 
-    Where nine in ten are shaken, nothing tells a bias from a vehicle's slow turn, and they have no rate.
+    shaking: (n,) (m/s^2)^2, the power of what has no steady frequency. Where nine in ten are shaken, nothing
+    tells a bias from a vehicle's slow turn, and they have no rate.
     """
     if bins.rate is None or bins.rate_variance is None or not len(bins):
         return bins
-    floor = float(np.quantile(bins.vibration, 0.1))
+    floor = float(np.quantile(shaking, 0.1))
     if floor > SHAKEN**2:
         return replace(bins, rate=None, rate_variance=None)
-    loud = bins.vibration > LOUD**2 * floor
+    loud = shaking > LOUD**2 * floor
     if not loud.any() or (~loud).sum() < FEWEST:
         return bins
     quiet = bins.rate[~loud]
     middle = np.median(quiet, axis=0)
     scatter = 1.4826 * np.median(np.abs(quiet - middle), axis=0)
     spread = np.maximum(np.sqrt(bins.rate_variance), scatter)
-    power = np.where(loud, bins.vibration, 0.0)
+    power = np.where(loud, shaking, 0.0)
     shifted = np.median((bins.rate[loud] - middle) / power[loud, None], axis=0)
     away = np.abs(bins.rate - middle - power[:, None] * shifted) / spread
     return bins.chosen(~loud | (away.max(axis=1) < TURNED))
+
+
+def without_lines(accelerometer: Samples, bins: Bins) -> Array:
+    """Return the bins' power of vibration (n,), (m/s^2)^2, without lines that half of them have.
+
+    An engine that drives has another speed in every bin.
+    """
+    first = np.searchsorted(accelerometer.t, bins.t - bins.duration / 2.0)
+    last = np.searchsorted(accelerometer.t, bins.t + bins.duration / 2.0)
+    period = sample_period(accelerometer.t)
+    size = round(SEGMENT / period)
+    held = np.flatnonzero(last - first >= size)
+    if not held.size or size < LEAST_SAMPLES:
+        return bins.vibration
+    power = np.array([_power(accelerometer.xyz[first[i] : last[i]], size) for i in held])
+    f = np.fft.rfftfreq(size, period)
+    lines = _lines(np.median(power, axis=0)) & (f > LEAST_LINE_HZ)
+    broad = bins.vibration.copy()
+    broad[held] *= 1.0 - power[:, lines].sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
+    return broad
+
+
+def _power(xyz: Array, size: int) -> Array:
+    """Return the power (F,) of values (n, 3), of all axes together, by Welch's method from `size` samples."""
+    from scipy.signal import welch  # noqa: PLC0415 - the daemon stays light
+
+    return np.asarray(welch(xyz, nperseg=size, axis=0)[1].sum(axis=1))
+
+
+def _lines(power: Array) -> NDArray[np.bool_]:
+    """Return which frequencies (F,) belong to lines."""
+    from scipy.ndimage import binary_dilation, median_filter  # noqa: PLC0415 - the daemon stays light
+
+    return np.asarray(binary_dilation(power > LINE * median_filter(power, AROUND), iterations=OWN))

@@ -1,0 +1,49 @@
+"""What shakes a phone that lies on a machine is told from what shakes it in a vehicle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.clear_bins import still_bins
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+RATE = 50.0
+T = np.arange(0.0, 300.0, 1.0 / RATE)
+SHAKEN = 0.5
+
+
+def on_a_machine(frequency: float) -> Array:
+    return np.asarray(SHAKEN * np.sin(2.0 * np.pi * frequency * T))
+
+
+def at_many_speeds() -> Array:
+    speed = np.random.default_rng(1).uniform(8.0, 20.0, 31)[(T / 10.0).astype(int)]
+    return np.asarray(SHAKEN * np.sin(2.0 * np.pi * np.cumsum(speed) / RATE))
+
+
+def on_a_road() -> Array:
+    return np.asarray(np.random.default_rng(2).normal(0.0, 0.7 * SHAKEN, T.size))
+
+
+@pytest.mark.parametrize(
+    ("shaking", "judged"),
+    [
+        (on_a_machine(11.3), True),
+        (on_a_machine(17.9), True),
+        (on_a_machine(2.1), False),  # no machine is that slow, and a car sways so
+        (at_many_speeds(), False),
+        (on_a_road(), False),
+    ],
+)
+def test_only_a_machine_leaves_rates_to_be_judged(shaking: Array, *, judged: bool) -> None:
+    rng = np.random.default_rng(0)
+    force = rng.normal([0.0, 0.0, 9.81], 0.002, (T.size, 3))
+    force[:, 2] += shaking
+    rate = rng.normal(0.0, 0.001, (T.size, 3))
+    bins = still_bins(
+        Samples.checked(Sensor.ACCELEROMETER, T, force), Samples.checked(Sensor.GYROSCOPE, T, rate)
+    )
+    assert len(bins) >= 25
+    assert (bins.rate is not None) == judged
