@@ -19,10 +19,14 @@ TONE = {"name": "vibration_tone", "frequency": 17.0, "amplitude": [0.0, 0.0, 0.0
 RATE = 25.0
 
 
-def course() -> Scenario:
-    """Half an hour of rests, in which the phone warms on the charger and cools twice."""
+PART_S = 300.0
+"""Of the four parts of a recording; what is put in shows beyond doubt in rests of twenty minutes."""
+
+
+def course(part_s: float = PART_S) -> Scenario:
+    """Rests in which the phone warms on the charger and cools twice. part_s: how long each time, s."""
     parts = [
-        Table(duration_s=450.0, rest_s=(20.0, 60.0), look=0.0, use=float(warm), charging=warm)
+        Table(duration_s=part_s, rest_s=(20.0, 60.0), look=0.0, use=float(warm), charging=warm)
         for warm in (False, True, False, True)
     ]
     return Scenario(segments=tuple(parts))
@@ -36,8 +40,8 @@ def phone_with(*effects: Mapping[str, Any]) -> Phone:
     return msgspec.convert(table | {"effect": list(effects)}, type=Phone)
 
 
-def recorded(phone: Phone, seed: int, claims: Phone | None = None) -> Recording:
+def recorded(phone: Phone, seed: int, claims: Phone | None = None, part_s: float = PART_S) -> Recording:
     """Return what a phone records. claims: the phone whose data sheet goes with it, else a default one."""
-    made = simulate(course(), phone, seed).whole()
+    made = simulate(course(part_s), phone, seed).whole()
     told = msgspec.convert((claims or phone_with()).claimed(), Claims)
     return Recording(made.accelerometer, made.gyroscope, list(made.events), told, [])

@@ -63,14 +63,6 @@ def judged(recording: Recording, simulation: Recording) -> Judged:
     return judge_examined(recording, examination(recording), simulation, examination(simulation))
 
 
-@pytest.mark.slow
-def test_recordings_are_judged_with_their_examinations() -> None:
-    whole = judge_simulation(real(), simulated(0.0)).answer
-    assert [f["statement"] for f in whole["findings"]] == [
-        f["statement"] for f in answer(real(), simulated(0.0))["findings"]
-    ]
-
-
 def answer(recording: Recording, simulation: Recording) -> dict[str, Any]:
     return judged(recording, simulation).answer
 
@@ -137,6 +129,12 @@ def test_a_line_that_the_simulation_lacks_is_put_into_it() -> None:
     assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("vibration_tone", "lacking")]
     assert said["verdict"] == "identified" and said["fit"]["not_put_in"] == []
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
+
+
+@pytest.mark.slow
+def test_a_line_that_only_the_simulation_has_is_superfluous() -> None:
+    said = answer(real(0.0), named(recorded(phone_with(TONE), 5), "sim.csv"))
+    assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("vibration_tone", "superfluous")]
 
 
 @pytest.mark.slow
@@ -304,6 +302,8 @@ def test_the_command_judges_and_fails_where_it_is_asked_to(written: Any, tmp_pat
     assert "sim.csv lacks the change of the accelerometer's bias with temperature" in done.output
     said = json.loads(out.read_text())
     assert (said["schema"], said["recording"], said["simulation"]) == (2, "real.csv", "sim.csv")
+    told = answer(real(), simulated(0.0))["findings"]
+    assert [f["statement"] for f in said["findings"]] == [f["statement"] for f in told]
 
 
 def test_only_a_part_of_the_simulation_is_judged_where_it_is_asked_for(written: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -19,19 +20,24 @@ TRUE = np.linalg.inv(np.asarray(phone_with().gyro.scale, dtype=np.float64))
 FARTHEST = 1e-3
 """A tenth of a per cent: three times what turns of half an hour leave uncertain without any other effect."""
 
-SENSITIVITY = {"name": "gyro_g_sensitivity", "matrix": np.diag([3e-4, 0.0, -3e-4]).tolist()}
-WARMUP = {"name": "accel_warmup", "amplitude": [0.1, 0.0, 0.1], "tau_s": 300.0}
+SENSITIVITY: dict[str, Any] = {"name": "gyro_g_sensitivity", "matrix": np.diag([3e-4, 0.0, -3e-4]).tolist()}
+WARMUP: dict[str, Any] = {"name": "accel_warmup", "amplitude": [0.1, 0.0, 0.1], "tau_s": 300.0}
 
 
-def exam_with(effect: dict[str, Any]) -> Examination:
-    return examined(recorded(phone_with(effect), 3))
+EFFECTS: dict[str, dict[str, Any]] = {one["name"]: one for one in (SENSITIVITY, WARMUP)}
+
+
+@cache
+def exam_with(name: str) -> Examination:
+    """Return the examination of half an hour with an effect."""
+    return examined(recorded(phone_with(EFFECTS[name]), 3, part_s=450.0))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("effect", [SENSITIVITY, WARMUP])
-def test_what_was_found_at_rest_does_not_turn_into_a_scale(effect: dict[str, Any]) -> None:
-    exam = exam_with(effect)
-    assert [s.finding.effect for s in exam.statements] == [effect["name"]]
+@pytest.mark.parametrize("name", EFFECTS)
+def test_what_was_found_at_rest_does_not_turn_into_a_scale(name: str) -> None:
+    exam = exam_with(name)
+    assert [s.finding.effect for s in exam.statements] == [name]
     assert exam.aligned is not None and exam.gyroscope is not None
     as_read = aligned(exam.gyroscope, exam.bins, exam.claims.gravity)
     assert np.abs(exam.aligned.mapping - TRUE).max() < FARTHEST < np.abs(as_read.mapping - TRUE).max()
@@ -39,7 +45,7 @@ def test_what_was_found_at_rest_does_not_turn_into_a_scale(effect: dict[str, Any
 
 @pytest.mark.slow
 def test_bins_without_what_is_known_are_those_of_a_phone_without_it() -> None:
-    exam = exam_with(WARMUP)
+    exam = exam_with(WARMUP["name"])
     bare = off_bins(exam.bins, Known.among(exam.statements))
     added = exam.bins.force - bare.force
     true = -np.exp(-(exam.bins.t - exam.bins.span[0]) / WARMUP["tau_s"])[:, None] * WARMUP["amplitude"]

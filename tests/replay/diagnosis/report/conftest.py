@@ -60,10 +60,3 @@ def _write(recording: Recording, path: Path) -> Path:
 def written(tmp_path: Path) -> Callable[[Recording, str], Path]:
     """Give a function that writes a recording as a file."""
     return lambda recording, name: _write(recording, tmp_path / name)
-
-
-@pytest.fixture(scope="session")
-def sound(recording: Callable[..., Recording], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Two recordings of a sound phone, of different seeds, as files."""
-    folder = tmp_path_factory.mktemp("sound")
-    return _write(recording(), folder / "real.csv"), _write(recording(seed=5), folder / "alike.csv")

@@ -8,7 +8,6 @@ import re
 from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,7 +24,7 @@ from stillcal.replay.diagnosis.words.summary import LINES, summary
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import TraceWriter
-from tests.support.report_days import THERMAL, TONE, phone_with, recorded
+from tests.support.report_days import THERMAL, phone_with, recorded
 
 Maker = Callable[..., Recording]
 Writer = Callable[[Recording, str], Path]
@@ -91,26 +90,10 @@ def test_a_legend_lies_on_no_curve_however_it_runs() -> None:
     assert place.x0 >= 0.0 and place.x1 <= figure.bbox.x1 and place.y1 <= figure.bbox.y1
 
 
-@pytest.fixture(scope="module")
-def of_a_sound_phone(sound: tuple[Path, Path]) -> Any:
-    """What is said of a sound phone's recording."""
-    real, _ = sound
-    return json.loads(run(real, "--json", "-"))
-
-
-@pytest.mark.slow
-def test_a_line_that_only_the_simulation_has_is_superfluous(
-    recording: Maker, written: Writer, sound: tuple[Path, Path]
-) -> None:
-    real, shaken = sound[0], written(recording(TONE, seed=5), "shaken.csv")
-    found = json.loads(run(real, "--simulated", shaken, "--json", "-"))["findings"]
-    assert [(f["effect"], f["relation"]) for f in found] == [("vibration_tone", "superfluous")]
-
-
 def test_a_sound_phone_matches_and_says_how_small_an_effect_it_would_have_shown(
-    of_a_sound_phone: Any,
+    recording: Maker, written: Writer
 ) -> None:
-    answer = of_a_sound_phone
+    answer = json.loads(run(written(recording(), "real.csv"), "--json", "-"))
     assert answer["verdict"] == "match" and answer["findings"] == [] and answer["agreed"] == []
     assert answer["fit"]["p_before"] > 0.01
     least = {(s["effect"], s["parameter"]): s["smallest_seen_90"] for s in answer["sensitivity"]}

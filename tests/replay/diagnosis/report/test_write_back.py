@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.replay.diagnosis.built_in import judge_built_in
-from stillcal.replay.diagnosis.given_simulation import judge_simulation
+from stillcal.replay.diagnosis.given_simulation import judge_examined
 from stillcal.replay.diagnosis.judged import examined, named
 from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
@@ -43,7 +43,8 @@ def test_a_recording_with_the_written_phone_is_accepted_and_one_without_its_term
     real, *played = (
         replace(r, name="sim.csv", gyroscope=None) for r in (case.recording, with_it, without)
     )  # what is written is the accelerometer's
-    answers = [judge_simulation(real, r).answer for r in played]
+    exam = examined(real)
+    answers = [judge_examined(real, exam, r, examined(r)).answer for r in played]
     assert answers[0]["verdict"] == "match", answers[0]["findings"]
     assert [(f["effect"], f["relation"]) for f in answers[1]["findings"]] == [(THERMAL["name"], "lacking")]
 
@@ -76,8 +77,7 @@ def test_the_phone_played_again_has_the_recordings_clock_gaps_and_limit() -> Non
 @pytest.mark.slow
 def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> None:
     hidden = {"name": "accel_thermal_hysteresis", "coefficient": [0.03, 0.03, 0.03], "tau_s": 300.0}
-    real = recording(hidden)
-    case = diagnosed(real)
+    case = diagnosed(replace(recording(hidden), gyroscope=None))
     unnamed = [m for m in case.mapped if m.effect is None]
     text = phone_text(case.phone(), case.mapped, "a\nname")
     assert unnamed
@@ -105,7 +105,8 @@ def test_a_phone_with_wrong_constants_and_slow_noise_is_told_so(recording: Maker
         noise=msgspec.structs.replace(sound.accel.noise, flicker=flicker),
     )
     off = msgspec.structs.replace(sound, accel=accel)
-    findings = judge_phone(named(recording(), "real.csv"), off, "phone.toml").answer["findings"]
+    real = replace(named(recording(), "real.csv"), gyroscope=None)
+    findings = judge_phone(real, off, "phone.toml").answer["findings"]
     told = {f["effect"]: f for f in findings}
     assert {"accel_bias", "accel_scale", "accel_slow_noise"} <= set(told)
     np.testing.assert_allclose(told["accel_bias"]["difference"]["bias"]["value"], [-1.2] * 3, atol=0.02)
