@@ -87,7 +87,7 @@ def find(where: str, format: str = AUTO) -> Listing:
 
 
 def _is_recording(path: Path) -> bool:
-    return is_one_recording(path) if path.is_dir() else may_be_recording(path)
+    return is_one_recording(path) if path.is_dir() else path.is_file() and may_be_recording(path)
 
 
 def _other(path: Path, rules: Sequence[tuple[str, str]]) -> Path | None:

@@ -9,9 +9,9 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.ros import FOLDER_INDEX
 from stillcal.replay.formats.logs.sample_folder import sample_folder
 from stillcal.replay.formats.recognition.header import looks_like_a_table
-from stillcal.replay.formats.recognition.magic import JSON, TEXT, kind_of
+from stillcal.replay.formats.recognition.magic import JSON, TEXT, ForeignError, kind_of
 from stillcal.replay.formats.recognition.phone_export import EXPORTED_FILES
-from stillcal.replay.formats.sources import source_of
+from stillcal.replay.formats.sources import Source, source_of
 from stillcal.replay.formats.tables.plain import plain_text
 from stillcal.replay.formats.tables.text import text_head
 
@@ -23,7 +23,8 @@ _WHOLE = (FOLDER_INDEX, *EXPORTED_FILES)
 def may_be_recording(path: Path) -> bool:
     """Whether a file is of a kind that is read. Its samples are not looked at, so reading it may still fail.
 
-    Texts without a table are none, nor is what lies beside a recording, or what stillcal wrote as JSON.
+    Texts without a table are none, nor are empty ones, what lies beside a recording, and what stillcal wrote
+    as JSON.
     """
     if path.name.endswith(_EVENTS):
         return False
@@ -31,10 +32,16 @@ def may_be_recording(path: Path) -> bool:
         source = source_of(path)
         kind = kind_of(source)
         if kind == TEXT:
-            return looks_like_a_table(text_head(plain_text(source)).split("\n"))
+            return bool(source.head().strip()) and looks_like_a_table(_lines(source))
         return kind != JSON or (claims_text(path) is None and not written_by_stillcal(path))
-    except TraceError:
+    except ForeignError:
         return False
+    except TraceError:
+        return True  # it cannot be read, and the attempt says why
+
+
+def _lines(source: Source) -> list[str]:
+    return text_head(plain_text(source)).split("\n")
 
 
 def is_one_recording(folder: Path) -> bool:

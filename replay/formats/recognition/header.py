@@ -16,7 +16,6 @@ DELIMITERS = (";", "\t", "|", ",")
 _FEWEST = 4
 """Numbers in a row: a time and three axes."""
 
-
 _FEWEST_CELLS = 3
 """Cells of a row without a time: three axes. All of them are numbers then, in the next row too."""
 
@@ -82,14 +81,14 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
 def looks_like_a_table(lines: Sequence[str]) -> bool:
     """Whether lines of text hold a row of numbers, or a header that names a sensor's axes."""
     names = ([cell.strip().strip('"') for cell in re.split(r"[;,|\t ]", uncommented(line))] for line in lines)
-    return _first_row(lines) > 0 or _is_row(lines[0]) or any(map(find_axes, names))
+    return _first_row(lines) > 0 or is_row(lines[0]) or any(map(find_axes, names))
 
 
 def _first_row(lines: Sequence[str]) -> int:
     """Return the place of the first row of numbers, 0 where there is none."""
     short = [_splits(line, delimiter_of(line)) for line in lines]
     following = [*short[1:], False]
-    rows = (i for i, line in enumerate(lines) if _is_row(line) or (short[i] and following[i]))
+    rows = (i for i, line in enumerate(lines) if _has_numbers(line) or (short[i] and following[i]))
     return next(rows, 0)
 
 
@@ -110,11 +109,26 @@ def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
     return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, plain, strict=True)]
 
 
-def _is_row(line: str) -> bool:
+def is_row(line: str) -> bool:
+    """Whether a first line is a row: all its filled cells are numbers or dates, or four of them and half."""
+    filled = [cell for cell in map(_bare, cells_of(line)) if cell]
+    numbers = sum(map(_is_value, filled))
+    return numbers >= (_FEWEST_CELLS if numbers == len(filled) else max(_FEWEST, len(filled) / 2))
+
+
+def _has_numbers(line: str) -> bool:
     """Whether at least four cells of a line, and half of them, are numbers; dates and empty cells count."""
-    cells = [cell.strip().strip('"').encode() for cell in cells_of(line)]
-    numbers = sum(is_number(cell.replace(b",", b".")) or is_date(cell) for cell in cells)
+    cells = [_bare(cell) for cell in cells_of(line)]
+    numbers = sum(not cell or _is_value(cell) for cell in cells)
     return numbers >= max(_FEWEST, len(cells) / 2)
+
+
+def _bare(cell: str) -> bytes:
+    return cell.strip().strip('"').encode()
+
+
+def _is_value(cell: bytes) -> bool:
+    return is_number(cell.replace(b",", b".")) or is_date(cell)
 
 
 def _is_filled_number(cell: str) -> bool:

@@ -58,8 +58,15 @@ _REMEDIES = {
 }
 
 
+class ForeignError(TraceError):
+    """A file is of a kind that is not read."""
+
+
 def kind_of(source: Source) -> str:
-    """Return the kind of a file by its content, TEXT where nothing speaks against it. Raises TraceError."""
+    """Return the kind of a file by its content, TEXT where nothing speaks against it.
+
+    Raises ForeignError where it is of no kind that is read, TraceError where it cannot be read.
+    """
     head = source.head()
     for start, kind in _STARTS.items():
         if head.startswith(start) and (kind != AXIVITY or b"\0" in head or b"\xff" in head):
@@ -69,11 +76,11 @@ def kind_of(source: Source) -> str:
             packed = any(word in name for word in _PACKED)
             usual = "unpack it and give what is in it" if packed else "export the recording as CSV"
             remedy = _REMEDIES.get(name, usual)
-            raise TraceError(source.path, f"is {name}, not a recording that can be read", remedy)
+            raise ForeignError(source.path, f"is {name}, not a recording that can be read", remedy)
     if _JSON.match(head):
         return JSON
     if b"\0" in head and not head.startswith(UTF16):
         what = "is not a text file, and no binary format that is known"
         remedy = "give one of the formats in docs/formats.md, or text in UTF-8"
-        raise TraceError(source.path, what, remedy)
+        raise ForeignError(source.path, what, remedy)
     return TEXT

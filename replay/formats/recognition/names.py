@@ -344,6 +344,12 @@ def is_own(names: Sequence[str]) -> bool:
     return (not rates or set(_OWN_RATES) <= there) and (thermometer is None or "temperature" in there)
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit of acceleration, rate, time or temperature."""
+    word = text.lower()
+    return word == "g" or _spelled(word) in _UNITS or word in _TIME_UNITS or _spelled(word) in _THERMOMETER
+
+
 def is_rate_hz(name: str) -> bool:
     """Whether a single number of this name is a sampling rate in Hz."""
     words = _words(name)[1]

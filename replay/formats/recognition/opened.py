@@ -25,7 +25,7 @@ from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, ra
 from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import refuse_devices_in_turn, sensors_of_rows
-from stillcal.replay.formats.recognition.settle import COUNTED_WIDTHS, OneSensor, settled, settled_apart
+from stillcal.replay.formats.recognition.settle import OneSensor, settled, settled_apart
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
     GNSS_LOGGER,
@@ -163,6 +163,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
     if column_map is not None:
         return _mapped(source, TextFormat("", column_map), gyro, [])
     form = text_format(source)
+    source = form.source or source
     if form.name == GNSS_LOGGER:
         return open_gnss_logger(source)
     if form.name == BETAFLIGHT:
@@ -171,7 +172,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
         raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
     sensors = []
     if form.name in (UNKNOWN, *SENSOR_LOGGER):
-        sensors = sensors_of_rows(partial(TextTable, source, form.column_map), form.column_map, form.rate_hz)
+        sensors = sensors_of_rows(partial(_named_table, source, form), form.cut, form.rate_hz)
     if sensors:
         return Log(source.path, "text table", sensors, beside=source.local)
     if form.name == UNKNOWN:
@@ -186,7 +187,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
 def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
     """Return the log of a text table of unknown make. Raises TraceError."""
     table = _text_table(source, form)
-    log = _log_by_names(source, OneSensor(table, form.column_map, form.rate_hz), "text table", gyro)
+    log = _log_by_names(source, OneSensor(table, form.cut, form.rate_hz), "text table", gyro)
     if log is not None:
         return log
     if table.names is not None and not OWN & set(table.names):
@@ -213,7 +214,7 @@ def _json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
         return Log(source.path, magic.JSON, mapped(table, base), beside=source.local)
     rows = sensors_of_rows(opened, base)
     log = Log(source.path, magic.JSON, rows, beside=source.local) if rows else None
-    if log is None and (table.names is not None or table.width in COUNTED_WIDTHS):
+    if log is None:
         log = _log_by_names(source, own[0], magic.JSON, gyro)
     if log is None:
         raise missing(table, [])
@@ -250,14 +251,21 @@ def _one_sensor(source: Source) -> OneSensor:
         ((name, opened),) = tables.items()
         return OneSensor(_qualified(opened(), _container(source, name)), load_map("csv"))
     form = text_format(source)
-    return OneSensor(_text_table(source, form), form.column_map, form.rate_hz)
+    return OneSensor(_text_table(form.source or source, form), form.cut, form.rate_hz)
 
 
 def _text_table(source: Source, form: TextFormat) -> Table:
     """Return a text table of unknown make, with what its file's name tells of its columns."""
+    return _qualified(_named_table(source, form), _container(source))
+
+
+def _named_table(source: Source, form: TextFormat) -> TextTable:
+    """Return a text table with the names of its columns that more than its header tells."""
     table = TextTable(source, form.column_map)
-    table.names = form.names or table.names
-    return _qualified(table, _container(source))
+    if form.names is not None:
+        table.names, table.width = form.names, len(form.names)
+        table.first_row = next(row for row in table.opening if len(row) == table.width)
+    return table
 
 
 def _qualified(table: Table, container: str) -> Table:

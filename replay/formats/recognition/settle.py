@@ -43,6 +43,7 @@ from stillcal.replay.formats.recognition.names import (
     find_stamps,
     find_thermometer,
 )
+from stillcal.replay.formats.recognition.unnamed import places_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date, kind_of_dates
@@ -53,9 +54,6 @@ _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
-
-COUNTED_WIDTHS = (4, 7)
-"""Cells of a row without names that are a time and three axes, and three more."""
 
 _MOSTLY_FORWARD = 0.9
 """Share of steps that a column of times makes forward at least; a few rows may be out of order."""
@@ -103,7 +101,7 @@ def settled(
     rates: where the gyroscope is that belongs to an accelerometer without one.
     Raises TraceError where there are axes of an accelerometer that cannot be read.
     """
-    candidates = _paired(table.names) if table.names is not None else _counted(table, rate_hz)
+    candidates = _paired(table.names) if table.names is not None else _counted(table)
     own = OneSensor(table, column_map, rate_hz)
     return _readable([(candidate, own, rates) for candidate in candidates])
 
@@ -174,26 +172,33 @@ def _pairs(axes: Sequence[Axes]) -> Iterator[tuple[Axes, Axes | None]]:
         yield accelerometer, same[0] if same else rates[0] if len(rates) == 1 else rates[i] if alike else None
 
 
-def _counted(table: Table, rate_hz: float | None) -> list[_Candidate]:
-    """Return the sensors of a table without names: a time, three axes, and three more where there are any.
+def _counted(table: Table) -> list[_Candidate]:
+    """Return the sensors of a table without names, of which three columns or six are their axes.
 
-    table: of 4 or 7 columns; one less where the file states its rate and holds no time. Those are the
-    accelerometer's whose size is gravity's. Raises TraceError where both could be.
+    Those are the accelerometer's whose size is gravity's. Raises TraceError where both could be, or other
+    columns are there.
     """
-    timed = table.width in COUNTED_WIDTHS or rate_hz is None
-    stamps = [Stamps(0, "", None)] if timed else []
-    places = (1, 4) if timed else (0, 3)
-    first, second = (Axes(Sensor.ACCELEROMETER, "", (p, p + 1, p + 2), None) for p in places)
-    if table.width <= 4:
+    found = places_of(table.opening)
+    stamps = [Stamps(place, "", None) for place in found.times]
+    axes = [
+        Axes(Sensor.ACCELEROMETER, "", (x, y, z), None)
+        for x, y, z in zip(found.values[0::3], found.values[1::3], found.values[2::3], strict=False)
+    ]
+    if len(found.values) not in (3, 6):
+        what = f"has no header, and of its {table.width} columns {len(found.values)} may be axes of sensors"
+        remedy = "name the columns in a first line, such as time, acc_x, ..., or count them in a column map"
+        raise TraceError(table.path, what, remedy)
+    first = axes[0]
+    if len(axes) == 1:
         return [_Candidate(first, None, stamps)]
-    probe = _Probe(table)
+    probe, second = _Probe(table), axes[1]
     sizes = [probe.norms(axes) for axes in (first, second)]
     fits = [_gravity_unit(norms) is not None for norms in sizes]
     if all(fits):
         low, high = (np.subtract(*np.quantile(norms, (0.75, 0.25))) / np.median(norms) for norms in sizes)
         fits = [low * _STEADIER < high, high * _STEADIER < low]
     if sum(fits) != 1:
-        one, other = (f"{p} to {p + 2}" for p in places)
+        one, other = (", ".join(map(str, one.columns)) for one in axes)
         what = (
             f"which of columns {one} and {other} (counted from 0) are the acceleration is not clear by size"
         )

@@ -17,18 +17,18 @@ from stillcal.replay.formats.columns import (
 )
 from stillcal.replay.formats.recognition.header import (
     DELIMITERS,
-    cells_of,
     delimiter_of,
     header_place,
+    is_row,
     split_as,
     stated_rate,
     unnamed_place,
     with_units,
 )
 from stillcal.replay.formats.recognition.names import is_own
-from stillcal.replay.formats.recognition.settle import COUNTED_WIDTHS
+from stillcal.replay.formats.recognition.rewritten import rewritten
+from stillcal.replay.formats.recognition.unnamed import names_of_rows
 from stillcal.replay.formats.sources import Source
-from stillcal.replay.formats.tables.plain import plain_text
 from stillcal.replay.formats.tables.text import text_head, uncommented
 
 BETAFLIGHT, GNSS_LOGGER = "betaflight", "gnss_logger"
@@ -51,7 +51,7 @@ class TextFormat:
     """A recognised text table. name: of its format, "" where it has none; said: what was assumed.
 
     names: of its columns, where they are more than the header alone says. rate_hz: as the lines before the
-    table state it.
+    table state it. source: the text in cells, which is what to read.
     """
 
     name: str
@@ -59,26 +59,43 @@ class TextFormat:
     said: str = ""
     names: list[str] | None = None
     rate_hz: float | None = None
+    source: Source | None = None
+
+    @property
+    def cut(self) -> ColumnMap:
+        """How the table is cut into columns, to which its names, wherever they come from, are the header."""
+        return msgspec.structs.replace(
+            self.column_map, header=self.column_map.header or self.names is not None
+        )
 
 
 def text_format(source: Source) -> TextFormat:
     """Recognise a text table. Raises TraceError where the file is empty or no text."""
-    head = text_head(plain_text(source))
-    lines = [line.rstrip("\r") for line in head.split("\n")]
+    text = rewritten(source)
+    if text.names is not None:
+        column_map = msgspec.structs.replace(_counted(","), skip_lines=text.first)
+        return TextFormat(UNKNOWN, column_map, names=text.names, source=text.source)
+    head = text_head(text.source)
+    whole = len(head) < (1 << 15) and not source.zipped
+    return replace(_of_lines([line.rstrip("\r") for line in head.split("\n")], whole), source=text.source)
+
+
+def _of_lines(lines: list[str], whole: bool) -> TextFormat:
+    """Recognise a table by its first lines. whole: whether these are all."""
     filled = [line for line in lines if line.strip()]
     if _is_gnss_logger(filled):
         return TextFormat(GNSS_LOGGER, load_map("csv"))
-    if _numbers_in(cells_of(filled[0])) or _hhar_row(filled[0]):
+    if is_row(filled[0]) or _hhar_row(filled[0]):
         return _headerless(filled)
     unnamed = unnamed_place(lines)
     if unnamed:
-        form = _headerless([line for line in lines[unnamed:] if line.strip()], timed=False)
+        form = _headerless([line for line in lines[unnamed:] if line.strip()])
         placed = msgspec.structs.replace(form.column_map, skip_lines=unnamed)
         return replace(form, column_map=placed, rate_hz=stated_rate(lines[:unnamed]))
     before, after = header_place(lines)
     filled = [line for line in lines[before:] if line.strip()]
     form = replace(
-        _with_header(filled, whole=len(head) < (1 << 15) and not source.zipped),
+        _with_header(filled, whole=whole),
         rate_hz=stated_rate(lines[:before]),
     )
     skip = form.column_map.skip_lines + before
@@ -110,7 +127,7 @@ def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
         column_map = load_map(name)
         fits = column_map.header and find_columns(_needed(column_map), names, len(names)) is not None
         if fits and name not in SENSOR_LOGGER and (name != "csv" or is_own(names)):
-            return TextFormat(name, _cut_as(column_map, delimiter))
+            return TextFormat(name, _with_rates_inside(_cut_as(column_map, delimiter), names))
     return TextFormat(UNKNOWN, _cut_as(load_map("csv"), delimiter))
 
 
@@ -141,6 +158,14 @@ def _needed(column_map: ColumnMap) -> list[str | int]:
     return [*time, *column_map.accelerometer.columns, *rates]
 
 
+def _with_rates_inside(column_map: ColumnMap, names: list[str]) -> ColumnMap:
+    """Return the map for a table that holds the gyroscope's columns itself where they are among its names."""
+    gyroscope = column_map.gyroscope
+    if gyroscope is None or find_columns(gyroscope.columns, names, len(names)) is None:
+        return column_map
+    return msgspec.structs.replace(column_map, gyroscope=msgspec.structs.replace(gyroscope, other_file=()))
+
+
 def _cut_as(column_map: ColumnMap, delimiter: str) -> ColumnMap:
     """Return the map for a table whose cells are split by `delimiter`."""
     if column_map.delimiter in (delimiter, "auto"):
@@ -163,16 +188,17 @@ def _sensor_logger(names: list[str], rows: list[str]) -> TextFormat:
     return TextFormat(name, load_map(name))
 
 
-def _headerless(lines: list[str], *, timed: bool = True) -> TextFormat:
-    """Recognise a table without a header by the count and the size of its cells.
-
-    timed: whether its first column must be a time.
-    """
+def _headerless(lines: list[str]) -> TextFormat:
+    """Recognise a table without a header by the count and the size of its cells."""
     delimiter = delimiter_of(lines[0])
     if _hhar_row(lines[0]):
         return TextFormat("hhar", load_map("hhar"))
     rows = [_split(line, delimiter) for line in lines[:200]]
     width = len(rows[0])
+    if rows[0] == [str(place) for place in range(width)]:  # as pandas calls columns without names
+        return TextFormat(UNKNOWN, msgspec.structs.replace(_counted(delimiter), skip_lines=1))
+    if _is_empatica(rows):
+        return TextFormat("empatica", load_map("empatica"))
     usable = [[float(c) for c in row] for row in rows if len(row) == width and _numbers_in(row)]
     values = np.array(usable)
     blanks = delimiter == " "
@@ -182,8 +208,15 @@ def _headerless(lines: list[str], *, timed: bool = True) -> TextFormat:
         return TextFormat(
             "mikoff", load_map("mikoff"), "no time stamps: 100 Hz is taken, as mikoff's logs have"
         )
-    counted = width in COUNTED_WIDTHS or (not timed and width in (3, 6))
-    return TextFormat(UNKNOWN, _counted(delimiter) if counted else load_map("csv"))
+    return TextFormat(UNKNOWN, _counted(delimiter), names=names_of_rows(rows))
+
+
+def _is_empatica(rows: list[list[str]]) -> bool:
+    """Whether a table of three columns begins with a time since 1970 and with 32 Hz, the same in each."""
+    if len(rows) < 3 or any(len(row) != 3 or not _numbers_in(row) for row in rows[:3]):
+        return False
+    start, rate = ({float(cell) for cell in row} for row in rows[:2])
+    return len(start) == 1 and start.pop() > 1e9 and rate == {32.0}
 
 
 def _counted(delimiter: str) -> ColumnMap:

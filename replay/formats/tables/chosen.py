@@ -12,14 +12,8 @@ MOST_TEXTS = 64
 """Different texts of a column beyond which it does not name sensors."""
 
 
-OPENING_ROWS = 200
-"""Rows by whose texts it is seen whether they are of several devices in turn."""
-
-
 class TableWithTexts(Table, Protocol):
-    """A table some of whose columns hold texts. opening: the cells of its first OPENING_ROWS rows."""
-
-    opening: list[list[str]]
+    """A table some of whose columns hold texts."""
 
     def texts(self, place: int) -> list[str] | None:
         """Return the different texts of a column; None where it holds numbers, or more than MOST_TEXTS.
@@ -37,6 +31,7 @@ class ChosenRows:
         self._key = [(place, text)]
         self.names: list[str] | None = list(names)
         self.first_row = table.first_row
+        self.opening = table.opening
         self.width = table.width
         self.header_line = table.header_line
         self.size_bytes = table.size_bytes

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.tables.chosen import MOST_TEXTS, OPENING_ROWS
+from stillcal.replay.formats.tables.chosen import MOST_TEXTS
 from stillcal.replay.formats.tables.dates import Dates, NotADateError
 from stillcal.replay.formats.tables.json_records import Records
 from stillcal.replay.formats.tables.numbers import side_by_side
-from stillcal.replay.formats.tables.table import EMPTY, Block
+from stillcal.replay.formats.tables.table import EMPTY, OPENING_ROWS, Block
 
 FieldPath = tuple[str | int, ...]
 """Keys and places that lead to a value in a record."""

@@ -32,6 +32,7 @@ class NumberTable:
         self.width = len(names)
         self.header_line: int | None = None
         self.first_row: list[str] = []
+        self.opening: list[list[str]] = []
         self.size_bytes = size_bytes
         self.bytes_read = 0
         self.skipped_rows = 0

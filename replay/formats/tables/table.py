@@ -16,6 +16,10 @@ EMPTY = -9.87654321e22
 """Stands for an empty cell in a block of numbers: no sensor's value, and quick to read (few digits)."""
 
 
+OPENING_ROWS = 200
+"""Rows by whose texts it is seen what columns without names are, and whether rows are of several devices."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
     """Rows of numbers: values (n, k), the wanted columns as asked for; lines (n,), their numbers from 1."""
@@ -29,7 +33,7 @@ class Table(Protocol):
 
     names: of the columns, None without a header. width: cells in a row.
     header_line: the line of the names, None where no line holds them. first_row: its cells as text, empty
-    where the cells are no text. size_bytes: as stored.
+    where the cells are no text; opening: those of its first OPENING_ROWS rows. size_bytes: as stored.
     skipped_rows: left out by the latest reading.
     """
 
@@ -37,6 +41,7 @@ class Table(Protocol):
     width: int
     header_line: int | None
     first_row: list[str]
+    opening: list[list[str]]
     size_bytes: int
     skipped_rows: int
 

@@ -31,11 +31,11 @@ from stillcal.replay.formats.tables.cells import (
     line_ends,
     read_numbers,
 )
-from stillcal.replay.formats.tables.chosen import MOST_TEXTS, OPENING_ROWS
+from stillcal.replay.formats.tables.chosen import MOST_TEXTS
 from stillcal.replay.formats.tables.compiled import compiled_reader
 from stillcal.replay.formats.tables.dates import Dates, NotADateError, is_date
 from stillcal.replay.formats.tables.plain import plain_text
-from stillcal.replay.formats.tables.table import EMPTY, Block
+from stillcal.replay.formats.tables.table import EMPTY, OPENING_ROWS, Block
 
 BLOCK_BYTES = 1 << 20
 """Bytes read at a time, so that memory stays flat however long the file is."""

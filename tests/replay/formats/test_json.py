@@ -174,7 +174,7 @@ def test_rows_of_a_time_and_three_axes_are_read_for_each_sensor(tmp_path: Path) 
 def test_rows_without_names_are_counted(tmp_path: Path) -> None:
     recording = read(tmp_path, json.dumps(DATA.tolist()))
     assert_same(recording)
-    with pytest.raises(TraceError, match="rows of 3 cells"):
+    with pytest.raises(TraceError, match="no column of time stamps"):
         read(tmp_path, json.dumps(FORCE.tolist()))
 
 

@@ -232,7 +232,7 @@ def test_without_a_header_the_columns_of_gravitys_size_are_the_accelerometers(
     np.testing.assert_array_equal(recording.gyroscope.xyz, LONG[:, 4:])
     assert "columns counted from 0" in recording.notes[0]
     path.write_text(text("", np.column_stack([LONG[:, :4], LONG[:, 1:4] / 9.81]), mark).lstrip())
-    with pytest.raises(TraceError, match="which of columns 1 to 3 and 4 to 6"):
+    with pytest.raises(TraceError, match="which of columns 1, 2, 3 and 4, 5, 6"):
         read_all(path)
 
 

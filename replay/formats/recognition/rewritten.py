@@ -1,0 +1,149 @@
+"""Text whose lines hold readings, but not as cells: it is copied into cells, line by line.
+
+`ax: 0.1 ay: 0.2` and `ax=0.1,ay=0.2` have a name before each number, as sketches print them;
+`[0.1, 0.2, 9.8]` is one cell of three numbers, as pandas writes arrays; `10:00:00.020 -> 0.1,0.2` has a
+serial monitor's stamp; `0.1,0.2;` ends its row with another mark.
+"""
+
+from __future__ import annotations
+
+import codecs
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from stillcal.replay.formats.recognition.header import split_as
+from stillcal.replay.formats.recognition.names import find_axes, is_unit
+from stillcal.replay.formats.sources import Source
+from stillcal.replay.formats.tables.cells import is_number
+from stillcal.replay.formats.tables.dates import is_date
+from stillcal.replay.formats.tables.plain import copied_by_lines, plain_text
+from stillcal.replay.formats.tables.text import text_head
+
+_LOOKED_AT = 50
+"""Lines by which it is seen whether a text is written so; what a board prints when it starts is shorter."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[-+]?nan|[-+]?inf"
+_LABELLED = re.compile(rf"(?<!\d\d:\d\d)(?<!\b\d\d)\s*[:=]\s*({_NUMBER})(?![\w.:])", re.IGNORECASE)
+_BETWEEN = re.compile(r"[\s,;|]+")
+_STAMPED = re.compile(r"^\s*(\d\d:\d\d:\d\d[.,]\d+)\s+->\s*")
+_LIST = re.compile(rf'"?[\[(]\s*((?:{_NUMBER})(?:(?:\s*,\s*|\s+)(?:{_NUMBER}))+)\s*[\])]"?', re.IGNORECASE)
+_IN_A_LIST = re.compile(r"[\s,]+")
+_BOM = codecs.BOM_UTF8.decode("latin-1")
+_FEWEST = 3
+"""Labelled numbers of a line: three axes."""
+
+Rewrite = Callable[[str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Rewritten:
+    """A text in cells. names: of its columns, where no line holds them. first: lines before its first row."""
+
+    source: Source
+    names: list[str] | None = None
+    first: int = 0
+
+
+def rewritten(source: Source) -> Rewritten:
+    """Return a text in cells: itself, where it is so already. Raises TraceError where it cannot be copied."""
+    plain = plain_text(source)
+    head = [line.rstrip("\r") for line in text_head(plain).split("\n")]
+    steps: list[Rewrite] = []
+    for find in (_without_stamps, _without_ends):
+        step = find(head[:_LOOKED_AT])
+        if step is not None:
+            steps.append(step)
+            head = [step(line) for line in head]
+    labels = next((i for i, line in enumerate(head[:_LOOKED_AT]) if _labelled(line) is not None), None)
+    found = _labelled(head[labels]) if labels is not None else None
+    if labels is not None and found is not None:
+        steps.append(_cells_of_labelled)
+        names = found[0]
+    else:
+        lists = _without_lists(head)
+        steps += [lists] if lists else []
+        names = None
+    if not steps:
+        return Rewritten(plain)
+
+    def line_in_cells(line: str) -> str:
+        for step in steps:
+            line = step(line)
+        return line
+
+    return Rewritten(copied_by_lines(plain, line_in_cells), names, labels or 0)
+
+
+def _without_stamps(lines: Sequence[str]) -> Rewrite | None:
+    """Return what makes a serial monitor's stamp a cell; None where no line has one."""
+    stamped = next((line for line in lines if _STAMPED.match(line)), None)
+    if stamped is None:
+        return None
+    rest = _STAMPED.sub("", stamped)
+    mark = next((mark for mark in (";", "\t", ",") if mark in rest), " ")
+    return lambda line: _STAMPED.sub(rf"\g<1>{mark}", line)
+
+
+def _without_ends(lines: Sequence[str]) -> Rewrite | None:
+    """Return what takes off a semicolon that ends rows of cells with commas; None where none does."""
+    filled = [line for line in lines if line.strip()]
+    ended = filled and all(line.rstrip().endswith(";") and line.count(";") == 1 for line in filled)
+    return (lambda line: line.rstrip().removesuffix(";")) if ended and "," in filled[0] else None
+
+
+def _labelled(line: str) -> tuple[list[str], list[str]] | None:
+    """Return the names and the numbers of a line that labels each of its numbers, None of another line.
+
+    A unit behind a number belongs to its name. Numbers and dates before the first name are times.
+    """
+    parts = _LABELLED.split(line)
+    labels, numbers = parts[0::2], parts[1::2]
+    if len(numbers) < _FEWEST:
+        return None
+    words = [list(filter(None, _BETWEEN.split(label))) for label in labels]
+    before = [word for word in words[0] if is_date(word.encode()) or is_number(word.encode())]
+    names = [" ".join(words[0][len(before) :])]
+    for between in words[1:]:
+        unit = between.pop(0) if between and is_unit(between[0]) else None
+        names[-1] += f" [{unit}]" if unit else ""
+        names.append(" ".join(between))
+    if names.pop() or not all(names):
+        return None
+    return ["time"] * len(before[:1]) + names, before[:1] + numbers
+
+
+def _cells_of_labelled(line: str) -> str:
+    found = _labelled(line)
+    return line if found is None else ",".join(found[1])
+
+
+def _without_lists(lines: Sequence[str]) -> Rewrite | None:
+    """Return what makes cells of lists; None where no cell is one, or the names tell the axes without."""
+    place = next((i for i, line in enumerate(lines[:_LOOKED_AT]) if _LIST.search(line)), None)
+    if place is None or place == 0:
+        return None
+    sizes = [len(_IN_A_LIST.split(found[1])) for found in _LIST.finditer(lines[place])]
+    row = _LIST.sub("\a", lines[place])
+    mark = max((";", "\t", ","), key=row.count)
+    header = lines[place - 1]
+    names, cells = split_as(mark * _FEWEST, header), row.split(mark)
+    if len(names) != len(cells) or find_axes(names):
+        return None
+    of_lists = iter(sizes)
+    longer = [
+        f"{name}[{i}]" if size else name
+        for name, size in zip(
+            names, (next(of_lists) if cell.strip() == "\a" else 0 for cell in cells), strict=True
+        )
+        for i in range(size or 1)
+    ]
+    headers = {header.encode(encoding, "replace").decode("latin-1") for encoding in ("utf-8", "latin-1")}
+    new_header = mark.join(longer).encode().decode("latin-1")
+
+    def in_cells(line: str) -> str:
+        if line.rstrip("\r").removeprefix(_BOM) in headers:
+            return new_header
+        return _LIST.sub(lambda found: mark.join(_IN_A_LIST.split(found[1].strip())), line)
+
+    return in_cells

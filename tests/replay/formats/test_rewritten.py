@@ -1,0 +1,84 @@
+"""Text whose lines hold readings, but not as cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import read_all
+
+N = 60
+RNG = np.random.default_rng(4)
+FORCE = np.round(RNG.normal([0.2, 0.1, 9.8], 0.05, (N, 3)), 4)
+RATES = np.round(RNG.normal(0, 0.05, (N, 3)), 4)
+MS = np.arange(N) * 10 + 1000
+
+LABELLED = {
+    "blanks": "t: {t} ax: {a[0]} ay: {a[1]} az: {a[2]} gx: {w[0]} gy: {w[1]} gz: {w[2]}",
+    "commas": "t={t}, ax={a[0]}, ay={a[1]}, az={a[2]}, gx={w[0]}, gy={w[1]}, gz={w[2]}",
+    "units": "time: {t} ms Acc X: {a[0]} m/s^2 Acc Y: {a[1]} m/s^2 Acc Z: {a[2]} m/s^2 "
+    "Gyro X: {w[0]} rad/s Gyro Y: {w[1]} rad/s Gyro Z: {w[2]} rad/s",
+    "a time before": "{t} ax: {a[0]} ay: {a[1]} az: {a[2]} gx: {w[0]} gy: {w[1]} gz: {w[2]}",
+    "a monitor's stamp": "10:00:0{s:.3f} -> ax:{a[0]} ay:{a[1]} az:{a[2]} gx:{w[0]} gy:{w[1]} gz:{w[2]}",
+}
+IN_CELLS = {
+    "a monitor's stamp": ("", "10:00:0{s:.3f} -> {a[0]},{a[1]},{a[2]},{w[0]},{w[1]},{w[2]}"),
+    "its header stamped": (
+        "10:00:00.900 -> ax,ay,az,gx,gy,gz\n",
+        "10:00:0{s:.3f} -> {a[0]},{a[1]},{a[2]},{w[0]},{w[1]},{w[2]}",
+    ),
+    "lists": ("time_ms,acc,gyr\n", '{t},"[{a[0]}, {a[1]}, {a[2]}]","[{w[0]}, {w[1]}, {w[2]}]"'),
+    "lists of blanks": (
+        "time_ms,accelerometer,gyroscope\n",
+        "{t},[{a[0]}  {a[1]} {a[2]}],[ {w[0]} {w[1]} {w[2]}]",
+    ),
+    "tuples": (
+        "time_ms;note;acc (m/s²);gyr (rad/s)\n",
+        "{t};-;({a[0]}, {a[1]}, {a[2]});({w[0]}, {w[1]}, {w[2]})",
+    ),
+    "semicolons at the ends": (
+        "time_ms,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z;\n",
+        "{t},{a[0]},{a[1]},{a[2]},{w[0]},{w[1]},{w[2]};",
+    ),
+}
+
+
+def lines(line: str) -> list[str]:
+    rows = zip(MS, FORCE, RATES, strict=True)
+    return [line.format(t=t, s=t / 1000, a=a, w=w) for t, a, w in rows]
+
+
+def assert_read(path: Path) -> None:
+    recording = read_all(path)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.gyroscope.xyz, RATES)
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+
+
+@pytest.mark.parametrize("line", LABELLED.values(), ids=LABELLED)
+def test_names_before_each_number(tmp_path: Path, line: str) -> None:
+    path = tmp_path / "r.txt"
+    path.write_text("MPU6050 ready\n\n" + "\n".join(lines(line)) + "\n")
+    assert_read(path)
+
+
+@pytest.mark.parametrize(("header", "line"), IN_CELLS.values(), ids=IN_CELLS)
+def test_lists_stamps_and_ends(tmp_path: Path, header: str, line: str) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(header + "\n".join(lines(line)) + "\n")
+    assert_read(path)
+
+
+def test_a_faulty_line_is_named_as_it_stands_in_the_file(tmp_path: Path) -> None:
+    rows = lines(LABELLED["blanks"])
+    path = tmp_path / "r.txt"
+    path.write_text("\n".join(["ready", *rows[:40], "t: 5 ax: 0.1", *rows[40:]]) + "\n")
+    with pytest.raises(TraceError, match=r"r\.txt:42: 1 cells instead of 7"):
+        read_all(path)
+    path.write_text("time_ms,acc\n" + "\n".join(f'{t},"[1, 2, 9]"' for t in MS) + '\n1600,"[1, 2]"\n')
+    with pytest.raises(TraceError, match=r"r\.txt:62: 3 cells instead of 4"):
+        read_all(path)
