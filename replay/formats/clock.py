@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap
+from stillcal.replay.formats.columns import LONG_TIME_UNITS, TIME_UNITS, ColumnMap
 from stillcal.replay.formats.errors import TraceError
 
 FASTEST_STEP_S = 5e-4
@@ -26,6 +26,12 @@ GAP_S = 1.0
 
 TWO_CLOCKS_S = 10 * 365.25 * 86400.0
 """s: a longer step is no gap but another clock, as from the time since the start to that since 1970."""
+
+_EPOCH_S = (9.5e8, 4.1e9)
+"""s since 1970 of the years 2000 to 2100."""
+
+_DAYS = ((36_500, 73_100), (730_400, 767_100))
+"""The same years in a spreadsheet's days (since 1899-12-30) and in MATLAB's (since the year 0)."""
 
 REPEATS_ALLOWED = 0.05
 """Share of stamps that may repeat the previous one; with more, the clock is too coarse or has stopped."""
@@ -190,17 +196,32 @@ class Clock:
 def seconds_per_unit(unit: str, stamps: Array, rate_hz: float | None) -> float | None:
     """Return the length of one unit of a time column, s; None where "auto" finds no unit.
 
-    stamps: (n,) the file's first stamps. "auto" picks the only power of 1000 that puts the median step
-    between 0.5 ms and 0.5 s, as in logs whose unit differs between devices (Stisen et al. 2015).
+    stamps: (n,) the file's first stamps.
     """
     if unit == "samples":
         return 1.0 / rate_hz if rate_hz else None
     if unit == "date":
         return 1.0
-    if unit != "auto":
-        return TIME_UNITS[unit]
+    return _shown_unit(stamps) if unit == "auto" else (TIME_UNITS | LONG_TIME_UNITS)[unit]
+
+
+def _shown_unit(stamps: Array) -> float | None:
+    """Return the length of the unit that stamps show themselves to have, s; None where they show none.
+
+    It is the only power of 1000 that puts the median step between 0.5 ms and 0.5 s, as in logs whose unit
+    differs between devices (Stisen et al. 2015). Times since 1970 have the unit that their size shows, and
+    step by 1 s at most; numbers of days are those of Excel and MATLAB. Steps of exactly one show no unit:
+    they may be s, ms or numbers of samples.
+    """
     step = np.abs(np.diff(stamps))
     step = step[step > 0]
-    typical = float(np.median(step)) if step.size else 0.0
-    fits = [s for s in TIME_UNITS.values() if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
+    if not step.size:
+        return None
+    typical, first = float(np.median(step)), float(stamps[0])
+    units, day = TIME_UNITS.values(), LONG_TIME_UNITS["days"]
+    since_1970 = [s for s in units if _EPOCH_S[0] < first * s < _EPOCH_S[1]]
+    since_1970 += [day for low, high in _DAYS if low < first < high]
+    dated = [s for s in since_1970 if FASTEST_STEP_S <= typical * s <= GAP_S]
+    in_range = [s for s in units if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
+    fits = dated or ([] if (step == 1.0).all() else in_range)
     return fits[0] if fits else None

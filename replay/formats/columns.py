@@ -42,6 +42,9 @@ _RATE_UNITS = {
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 """Seconds in one unit of a time column."""
 
+LONG_TIME_UNITS = {"min": 60.0, "h": 3600.0, "days": 86400.0}
+"""Seconds in units that are stated, or seen to be a spreadsheet's days."""
+
 
 class TimeMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Where the stamps come from: a column with a unit, a column of sample numbers, or a fixed rate.
@@ -52,7 +55,7 @@ class TimeMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """
 
     column: Column | None = None
-    unit: Literal["s", "ms", "us", "ns", "samples", "auto", "date"] = "s"
+    unit: Literal["s", "ms", "us", "ns", "min", "h", "days", "samples", "auto", "date"] = "s"
     fraction: Column | None = None
     fraction_unit: Literal["ms", "us", "ns"] = "ns"
     rate_hz: Positive | None = None

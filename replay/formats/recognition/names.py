@@ -125,7 +125,9 @@ _TIME = {
         "uptime",
         "datetime",
     ),
-    *("zeit", "tijd", "tid", "tempo", "tiempo"),
+    *("zeit", "tijd", "tid", "tempo", "tiempo", "temps", "czas"),
+    "tow",  # GPS time of week
+    "datenum",  # MATLAB
 }
 _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
@@ -135,6 +137,22 @@ _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
         ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanoseconds", "nanosecond"), "ns"
     ),
 }
+_LONG_TIME_UNITS: dict[str, Literal["min", "h", "days"]] = {
+    **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
+    **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
+    **dict.fromkeys(("day", "days", "datenum"), "days"),
+}
+"""Units that stand beside a word for time only: min is a minimum too."""
+
+_COUNTERS = {"tick", "ticks", "count", "counter", "index", "seq", "number", "frame"}
+"""Words of numbers that go forward with the samples, in no unit of time unless one is stated."""
+
+_OF_MESSAGE = "header"
+"""The word of a message's own stamp (ROS)."""
+
+_LATE = {"offset"}
+"""Words of times that count from another one: they serve where there is no other."""
+
 _ARRIVAL = {"arrival", "utc", "received", "host", "log", "unix"}
 _THERMOMETER = {"temp", "temperature", "temps", "celsius", "degc"}
 _RATES_HZ = {
@@ -147,6 +165,9 @@ _RATES_HZ = {
     "samplefrequency",
     "freq",
 }
+
+_WITHOUT_GRAVITY = {"free", "user", "linear"}
+"""Words for acceleration from which gravity was taken."""
 
 _UNITS = {
     **dict.fromkeys(("m/s2", "m/s/s", "ms2", "mps2", "ms-2", "m/ssquared"), "m/s^2"),
@@ -229,7 +250,7 @@ class Stamps:
 
     column: Column
     label: str
-    unit: Literal["s", "ms", "us", "ns"] | None
+    unit: Literal["s", "ms", "us", "ns", "min", "h", "days"] | None
     fraction: tuple[Column, Literal["ms", "us", "ns"]] | None = None
 
 
@@ -272,24 +293,28 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
     found = []
     for place, name in enumerate(names):
         bracket, words = _words(name)
-        units = [_TIME_UNITS[w] for w in (bracket, *words) if w in _TIME_UNITS]
-        rest = [w for w in words if w not in _TIME_UNITS and w not in _TIME]
-        is_time = any(w in _TIME for w in words) or (bool(units) and not rest and not bracket)
+        named = any(w in _TIME for w in words)
+        known = _TIME_UNITS | (_LONG_TIME_UNITS if named else {})
+        units = [known[w] for w in (bracket, *words) if w in known]
+        rest = [w for w in words if w not in known and w not in _TIME and w != _OF_MESSAGE]
+        is_time = (named or (bool(units) and not rest and not bracket)) and bool(
+            units or not _COUNTERS & set(rest)
+        )
         by_unit = bracket in _TIME_UNITS
-        if (is_time or by_unit) and not set(words) & (_NEITHER | _THERMOMETER):
-            late = bool(set(words) & _ARRIVAL) or not is_time
+        if (is_time or by_unit) and not set(rest) & (_NEITHER - _LATE | _THERMOMETER):
+            late = bool(set(words) & (_ARRIVAL | _LATE)) or not is_time
             stamps = Stamps(name, "_".join(rest), units[0] if units else None)
-            found.append((late, "header" not in words, place, stamps))
+            found.append((late, _OF_MESSAGE not in words, place, stamps))
     alone = [stamps for *_, stamps in sorted(found, key=lambda f: f[:3])]
     return [both for stamps in alone for both in (*_with_fraction(stamps, alone), stamps)]
 
 
 def _with_fraction(seconds: Stamps, others: Sequence[Stamps]) -> list[Stamps]:
     """Return seconds with each column of the same label that may hold their fraction."""
-    if seconds.unit != "s":
+    if seconds.unit not in ("s", None):
         return []
     alike = (s for s in others if s.label == seconds.label)
-    return [replace(seconds, fraction=(s.column, s.unit)) for s in alike if s.unit and s.unit != "s"]
+    return [replace(seconds, fraction=(s.column, s.unit)) for s in alike if s.unit in {"ms", "us", "ns"}]
 
 
 def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["degC", "K", "degF"]] | None:
@@ -297,7 +322,7 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
     found = []
     for name in names:
         bracket, words = _words(name)
-        if set(words) & _THERMOMETER:
+        if set(words) & _THERMOMETER or words[-2:] == ["deg", "c"]:
             kelvin = bool({"k", "kelvin"} & {bracket, *words})
             fahrenheit = bool({"degf", "f", "fahrenheit"} & {bracket, *words})
             unit: Literal["degC", "K", "degF"] = "K" if kelvin else "degF" if fahrenheit else "degC"
@@ -332,6 +357,12 @@ def rates_alone(names: Sequence[str]) -> bool:
     if any((axis := _axis_of(name)) and axis.sensor is Sensor.ACCELEROMETER for name in names):
         return False
     return {axes.sensor for axes in find_axes(names)} == {Sensor.GYROSCOPE}
+
+
+def without_gravity(names: Sequence[str]) -> list[str]:
+    """Return the columns that hold acceleration from which gravity was taken, as their names say."""
+    words = {name: set(_words(name)[1]) for name in names}
+    return [name for name, said in words.items() if said & _WITHOUT_GRAVITY and said & _ACCELERATION]
 
 
 def is_own(names: Sequence[str]) -> bool:
@@ -416,7 +447,7 @@ def _split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
         ends = _AXIS_AT_END.match(words[i])
         if ends and ends[1] in (_ACCELERATION | _RATE):
             return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :]]
-    return (_AXES[bracket], words) if bracket in ("0", "1", "2") else (None, words)
+    return (_AXES[bracket], words) if bracket in _AXES else (None, words)
 
 
 def _split_unit(words: list[str]) -> tuple[str | None, list[str]]:

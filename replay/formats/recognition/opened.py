@@ -21,7 +21,7 @@ from stillcal.replay.formats.logs.sample_folder import sample_folder, sample_mem
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
-from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, rates_alone
+from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, rates_alone, without_gravity
 from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import refuse_devices_in_turn, sensors_of_rows
@@ -235,6 +235,11 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
     sensors = settled(own.table, own.column_map, own.rate_hz, rates)
     if sensors:
         return Log(source.path, kind, sensors, said, beside=source.local)
+    free = without_gravity(own.table.names or [])
+    if free:
+        what = f"holds no acceleration with gravity, only {', '.join(free[:3])}"
+        remedy = "record the raw accelerometer; where gravity has columns of its own, add them to these"
+        raise TraceError(source.path, what, remedy)
     if rates_alone(own.table.names or []):
         raise GyroscopeAloneError(source.path)
     return None

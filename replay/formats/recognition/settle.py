@@ -7,6 +7,7 @@ beside g, and a note says so.
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from copy import copy
@@ -24,6 +25,7 @@ from stillcal.replay.formats.checks.units import shown_unit
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import seconds_per_unit
 from stillcal.replay.formats.columns import (
+    LONG_TIME_UNITS,
     TIME_UNITS,
     Column,
     ColumnMap,
@@ -55,6 +57,12 @@ _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
 
+_ROWS_TOGETHER = 100
+"""Rows, a second or two of them, over which motion swings back and gravity does not."""
+
+_KEPT = 0.5
+"""Size of the median vector over that of the vectors: 1 for gravity at rest, near 0 for motion without it."""
+
 _MOSTLY_FORWARD = 0.9
 """Share of steps that a column of times makes forward at least; a few rows may be out of order."""
 
@@ -72,12 +80,14 @@ class _Candidate:
     """Columns of one accelerometer, with those of its gyroscope and those that may be its time.
 
     rate_stamps: the gyroscope's own, where their names say so; then it is read as a table of its own.
+    said: what is to be said of the choice.
     """
 
     accelerometer: Axes
     gyroscope: Axes | None
     stamps: Sequence[Stamps]
     rate_stamps: Sequence[Stamps] = ()
+    said: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,6 +214,9 @@ def _counted(table: Table) -> list[_Candidate]:
         )
         raise TraceError(table.path, what, "name them in a first line, such as time, acc_x, ..., gyr_z")
     force, rates = (first, second) if fits[0] else (second, first)
+    if not probe.all_change(rates):
+        said = f"passed over, since a gyroscope has noise on all axes: {_listed(rates)}"
+        return [_Candidate(force, None, stamps, said=(said,))]
     return [_Candidate(force, replace(rates, sensor=Sensor.GYROSCOPE), stamps)]
 
 
@@ -223,7 +236,7 @@ def _sensor(
         "gyroscope": None,
         "temperature": None,
     }
-    said = [time_said, f"accelerometer {_listed(accelerometer)} in {force_unit}{force_said}"]
+    said = [time_said, f"accelerometer {_listed(accelerometer)} in {force_unit}{force_said}", *candidate.said]
     if gyroscope is not None:
         draft = SensorMap(columns=gyroscope.columns, unit="rad/s")
         part = Part(table, msgspec.structs.replace(base, **chosen | {"gyroscope": draft}), BOTH)
@@ -302,6 +315,30 @@ class _Probe:
         values = np.empty((0, len(names))) if block is None else block.values[:_PROBED_ROWS]
         return np.where(values == EMPTY, np.nan, values)
 
+    def all_change(self, axes: Axes) -> bool:
+        """Whether none of a sensor's first values is the same throughout."""
+        return bool((np.ptp(self._columns(axes.columns), axis=0) > 0).all())
+
+    def keeps_its_direction(self, axes: Axes) -> bool:
+        """Whether vectors agree over some rows, as those do that hold gravity: motion alone swings back."""
+        vectors = self._columns(axes.columns)
+        vectors = vectors[np.isfinite(vectors).all(axis=1)]
+        count = len(vectors) // _ROWS_TOGETHER
+        if not count:
+            return True
+        windows = vectors[: count * _ROWS_TOGETHER].reshape(count, _ROWS_TOGETHER, 3)
+        with np.errstate(over="ignore"):
+            kept, typical = (
+                float(np.median(np.linalg.norm(v, axis=1))) for v in (np.median(windows, axis=1), vectors)
+            )
+        return not kept < _KEPT * typical
+
+    def repeating_dates(self, name: Column) -> float:
+        """Return the share of the first dates of a column that repeat the one before."""
+        (place,) = find_columns([name], self._table.names, self._table.width) or [0]
+        cells = [row[place] for row in self._table.opening if len(row) > place]
+        return sum(a == b for a, b in itertools.pairwise(cells)) / max(len(cells) - 1, 1)
+
     def adds_up(self, stamps: Stamps) -> bool:
         """Whether a column holds whole seconds and another what is to be added to them, less than one."""
         if stamps.fraction is None or _holds_dates(self._table, stamps.column):
@@ -337,32 +374,51 @@ def _time(
     stamps = [s for s in stamps if s.fraction is None]
     dated = [Stamps(name, "", None) for name in table.names or () if _holds_dates(table, name)]
     for choice in [*stamps, *dated]:
-        if _holds_dates(table, choice.column):
-            said = f"time {choice.column} in {kind_of_dates(_first_cell(table, choice.column))}"
-            return TimeMap(column=choice.column, unit="date"), said
-        try:
-            values = probe.column(choice.column)
-        except TraceError as error:
-            if is_number(_first_cell(table, choice.column)):
-                raise  # it holds times, and the file is damaged further on
-            remedy = (
-                "give the time as a number of s, ms, us or ns, or as a date such as 2026-03-01 10:00:00.02"
-            )
-            unusable = unusable or TraceError(table.path, error.what, remedy, error.row)
-            continue
-        unit = _time_unit(choice, values)
-        if unit is not None and _repeating(values) > MOST_REPEATS:
-            what = f"{_repeating(values):.0%} of the stamps in column {choice.column!r} repeat the one before"
-            remedy = "give one column of times that differ from sample to sample"
-            unusable = unusable or TraceError(table.path, what, remedy)
-        elif unit is not None:
-            return TimeMap(column=choice.column, unit=unit), f"time {choice.column} in {unit}"
+        found = _in_column(table, probe, choice)
+        if isinstance(found, TimeMap):
+            kind = kind_of_dates(_first_cell(table, choice.column)) if found.unit == "date" else found.unit
+            return found, f"time {choice.column} in {kind}"
+        unusable = unusable or found
     if rate_hz is not None:
         return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
     if unusable is not None:
         raise unusable
     what = "no column of time stamps found"
     raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
+
+
+def _in_column(table: Table, probe: _Probe, choice: Stamps) -> TimeMap | TraceError | None:
+    """Return the time in a column; what is wrong with it where it cannot be used, None where it is none.
+
+    Raises TraceError where it holds times, and the file is damaged further on.
+    """
+    column = choice.column
+    if _holds_dates(table, column):
+        repeating = probe.repeating_dates(column)
+        return _too_coarse(table, column, repeating) or TimeMap(column=column, unit="date")
+    try:
+        values = probe.column(column)
+    except TraceError as error:
+        if is_number(_first_cell(table, column)):
+            raise
+        remedy = "give the time as a number of s, ms, us or ns, or as a date such as 2026-03-01 10:00:00.02"
+        return TraceError(table.path, error.what, remedy, error.row)
+    unit = _time_unit(choice, values)
+    if unit is not None:
+        return _too_coarse(table, column, _repeating(values)) or TimeMap(column=column, unit=unit)
+    if choice.unit is not None or not _goes_forward(values):
+        return None
+    what = f"column {column!r} goes in steps of {_step(values):.4g}, which shows no unit of time"
+    remedy = "say the unit in its name (time_s, time_ms, time_us), or in a column map (docs/formats.md)"
+    return TraceError(table.path, what, remedy)
+
+
+def _too_coarse(table: Table, column: Column, repeating: float) -> TraceError | None:
+    """Return the error where a share of stamps that repeat the one before is too large for a clock."""
+    if repeating <= MOST_REPEATS:
+        return None
+    what = f"{repeating:.0%} of the stamps in column {column!r} repeat the one before"
+    return TraceError(table.path, what, "give one column of times that differ from sample to sample")
 
 
 def _holds_dates(table: Table, column: Column) -> bool:
@@ -379,14 +435,26 @@ def _first_cell(table: Table, column: Column) -> bytes:
 def _time_unit(choice: Stamps, values: Array) -> Any:
     """Return the unit of a column of stamps, None where its values are none."""
     known = values[np.isfinite(values)]
-    if known.size < 2 or np.mean(np.diff(known) >= 0) < _MOSTLY_FORWARD or known[-1] <= known[0]:
+    if not _goes_forward(values):
         return None
     seconds = seconds_per_unit("auto" if choice.unit is None else choice.unit, known, None)
     if (
         "fine" in choice.label and seconds != 1e-6
     ):  # Xsens' SampleTimeFine: us in some devices, 0.1 ms in others
         return None
-    return {1.0: "s", 1e-3: "ms", 1e-6: "us", 1e-9: "ns"}.get(seconds or 0.0)
+    return {length: unit for unit, length in (TIME_UNITS | LONG_TIME_UNITS).items()}.get(seconds or 0.0)
+
+
+def _goes_forward(values: Array) -> bool:
+    """Whether a column of numbers, (n,), NaN where a cell is empty, goes forward as times do."""
+    known = values[np.isfinite(values)]
+    return bool(known.size > 1 and known[-1] > known[0] and np.mean(np.diff(known) >= 0) >= _MOSTLY_FORWARD)
+
+
+def _step(values: Array) -> float:
+    """Return the median step forward of a column of numbers."""
+    steps = np.diff(values[np.isfinite(values)])
+    return float(np.median(steps[steps > 0]))
 
 
 def _repeating(stamps: Array) -> float:
@@ -400,6 +468,9 @@ def _force_unit(path: Path, probe: _Probe, axes: Axes) -> tuple[Any, str]:
         return _known(path, axes), ""
     norms = probe.norms(axes)
     unit = _gravity_unit(norms)
+    if unit is not None and not probe.keeps_its_direction(axes):
+        what = f"{_listed(axes)} swing about zero: gravity was taken out"
+        raise TraceError(path, what, "give the accelerometer with gravity")
     if unit is not None:
         whole = unit == "mg" and probe.whole_numbers(axes)
         counts = "; whole numbers: if they are raw counts, say the value of one in a column map"

@@ -1,0 +1,115 @@
+"""Which column is the time of a table of unknown make, and in which unit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Recording, read_all
+
+N = 400
+RNG = np.random.default_rng(5)
+FORCE = np.round(RNG.normal([0.2, 0.1, 9.8], 0.05, (N, 3)), 4)
+SECONDS = np.arange(N) * 0.01
+
+
+def read(
+    folder: Path, columns: dict[str, list[str]], force: np.ndarray = FORCE, called: str = "acc_"
+) -> Recording:
+    names = [*columns, *(called + axis for axis in "xyz")]
+    rows = zip(*columns.values(), *(map(str, axis) for axis in force.T), strict=True)
+    path = folder / "r.csv"
+    path.write_text("\n".join(map(",".join, [names, *rows])) + "\n")
+    return read_all(path)
+
+
+def texts(values: np.ndarray, form: str = ".9f") -> list[str]:
+    return [format(value, form) for value in values]
+
+
+@pytest.mark.parametrize(
+    ("name", "stamps", "step"),
+    [
+        ("time", texts(1_700_000_000 + SECONDS * 100, ".0f"), 1.0),  # whole seconds at 1 Hz
+        ("time", texts(1_700_000_000_000 + SECONDS * 1000, ".0f"), 0.01),
+        ("timestamp", texts(1_300_000_000 + SECONDS * 1e6, ".0f"), 0.01),  # us since the start
+        ("time", texts(45352.25 + SECONDS / 86400, ".10f"), 0.01),  # Excel
+        ("datenum", texts(739312.25 + SECONDS / 86400, ".10f"), 0.01),  # MATLAB
+        ("time (min)", texts(SECONDS / 60), 0.01),
+        ("Elapsed Time (h)", texts(SECONDS / 3600, ".11f"), 0.01),
+        ("Temps (s)", texts(SECONDS), 0.01),
+        ("GpsTow", texts(300_000 + SECONDS), 0.01),
+    ],
+)
+def test_the_unit_of_times(tmp_path: Path, name: str, stamps: list[str], step: float) -> None:
+    recording = read(tmp_path, {name: stamps})
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), step, rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        (texts(SECONDS * 100, ".0f"), r"steps of 1, which shows no unit of time; say the unit in its name"),
+        (texts(SECONDS / 80), r"steps of 0\.000125, which shows no unit"),
+        ([f"2024-03-01 10:00:{int(s):02d}" for s in SECONDS], "of the stamps in column 'time' repeat"),
+    ],
+)
+def test_what_shows_no_time_is_refused(tmp_path: Path, stamps: list[str], said: str) -> None:
+    with pytest.raises(TraceError, match=said):
+        read(tmp_path, {"time": stamps})
+
+
+def test_a_messages_own_stamp_goes_before_the_time_of_recording(tmp_path: Path) -> None:
+    late = texts(1.7e18 + SECONDS * 1e9 + RNG.uniform(0, 5e6, N), ".0f")
+    own = texts(1.7e18 + SECONDS * 1e9, ".0f")
+    columns = {"%time": late, "field.header.seq": texts(SECONDS, ".0f"), "field.header.stamp": own}
+    recording = read(tmp_path, columns, called="field.linear_acceleration.")
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+
+
+def test_ticks_are_no_times_where_there_are_times(tmp_path: Path) -> None:
+    recording = read(
+        tmp_path, {"Clock:Tick#": texts(SECONDS * 4.5e6, ".0f"), "Clock:offsetTime": texts(SECONDS, ".3f")}
+    )
+    np.testing.assert_allclose(recording.accelerometer.t, SECONDS)
+
+
+def test_whole_seconds_without_a_unit_and_their_fraction(tmp_path: Path) -> None:
+    whole = texts(np.floor(SECONDS + 1e-9), ".0f")
+    parts = [f"{round(s * 1000) % 1000}" for s in SECONDS]
+    recording = read(tmp_path, {"timestamp": whole, "timestamp_ms": parts})
+    np.testing.assert_allclose(recording.accelerometer.t, SECONDS, atol=1e-9)
+
+
+def test_acceleration_that_swings_about_zero_is_without_gravity(tmp_path: Path) -> None:
+    stride = np.sin(2 * np.pi * 1.8 * SECONDS)[:, None] * [1.0, 0.6, 0.9]
+    time = {"time_s": texts(SECONDS)}
+    with pytest.raises(TraceError, match="swing about zero: gravity was taken out"):
+        read(tmp_path, time, stride)  # as large as 1 g is in g
+    shaken = read(tmp_path, time, stride + np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(np.linalg.norm(shaken.accelerometer.xyz.mean(axis=0)), 9.8, atol=0.3)
+
+
+def test_columns_without_gravity_are_named(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text(
+        "time_s,gravity_x,gravity_y,gravity_z,user_acc_x,user_acc_y,user_acc_z,gyr_x,gyr_y,gyr_z\n"
+    )
+    with path.open("a") as file:
+        file.writelines(f"{t:.2f},0,0,-1,0.1,0,0,0.1,0.2,0.3\n" for t in SECONDS)
+    with pytest.raises(TraceError, match=r"no acceleration with gravity, only user_acc_x.*add them to these"):
+        read_all(path)
+
+
+def test_what_has_no_noise_is_no_gyroscope(tmp_path: Path) -> None:
+    """GENEActiv's rows: light, button and temperature stand behind the axes."""
+    path = tmp_path / "r.csv"
+    path.write_text(
+        "".join(f"{t:.2f},{x},{y},{z},10,0,24.1\n" for t, (x, y, z) in zip(SECONDS, FORCE, strict=True))
+    )
+    recording = read_all(path)
+    assert recording.gyroscope is None
+    assert "passed over, since a gyroscope has noise on all axes: 4 5 6" in recording.notes[0]
