@@ -30,8 +30,8 @@ TWO_CLOCKS_S = 10 * 365.25 * 86400.0
 _EPOCH_S = (9.5e8, 4.1e9)
 """s since 1970 of the years 2000 to 2100."""
 
-_DAYS = ((36_500, 73_100), (730_400, 767_100))
-"""The same years in a spreadsheet's days (since 1899-12-30) and in MATLAB's (since the year 0)."""
+_SPREADSHEET_DAYS = (36_500, 73_100)
+"""The same years in days since 1899-12-30."""
 
 REPEATS_ALLOWED = 0.05
 """Share of stamps that may repeat the previous one; with more, the clock is too coarse or has stopped."""
@@ -210,7 +210,7 @@ def _shown_unit(stamps: Array) -> float | None:
 
     It is the only power of 1000 that puts the median step between 0.5 ms and 0.5 s, as in logs whose unit
     differs between devices (Stisen et al. 2015). Times since 1970 have the unit that their size shows, and
-    step by 1 s at most; numbers of days are those of Excel and MATLAB. Steps of exactly one show no unit:
+    step by 1 s at most; numbers of days are a spreadsheet's. Steps of exactly one show no unit:
     they may be s, ms or numbers of samples.
     """
     step = np.abs(np.diff(stamps))
@@ -220,8 +220,8 @@ def _shown_unit(stamps: Array) -> float | None:
     typical, first = float(np.median(step)), float(stamps[0])
     units, day = TIME_UNITS.values(), LONG_TIME_UNITS["days"]
     since_1970 = [s for s in units if _EPOCH_S[0] < first * s < _EPOCH_S[1]]
-    since_1970 += [day for low, high in _DAYS if low < first < high]
-    dated = [s for s in since_1970 if FASTEST_STEP_S <= typical * s <= GAP_S]
+    days = [day] if _SPREADSHEET_DAYS[0] < first < _SPREADSHEET_DAYS[1] else []
+    dated = [s for s in (*since_1970, *days) if FASTEST_STEP_S <= typical * s <= GAP_S]
     in_range = [s for s in units if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
     fits = dated or ([] if (step == 1.0).all() else in_range)
     return fits[0] if fits else None

@@ -127,7 +127,6 @@ _TIME = {
     ),
     *("zeit", "tijd", "tid", "tempo", "tiempo", "temps", "czas"),
     "tow",  # GPS time of week
-    "datenum",  # MATLAB
 }
 _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
@@ -140,7 +139,7 @@ _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
 _LONG_TIME_UNITS: dict[str, Literal["min", "h", "days"]] = {
     **dict.fromkeys(("min", "mins", "minute", "minutes"), "min"),
     **dict.fromkeys(("h", "hr", "hrs", "hour", "hours"), "h"),
-    **dict.fromkeys(("day", "days", "datenum"), "days"),
+    **dict.fromkeys(("day", "days"), "days"),
 }
 """Units that stand beside a word for time only: min is a minimum too."""
 

@@ -36,8 +36,7 @@ def texts(values: np.ndarray, form: str = ".9f") -> list[str]:
         ("time", texts(1_700_000_000 + SECONDS * 100, ".0f"), 1.0),  # whole seconds at 1 Hz
         ("time", texts(1_700_000_000_000 + SECONDS * 1000, ".0f"), 0.01),
         ("timestamp", texts(1_300_000_000 + SECONDS * 1e6, ".0f"), 0.01),  # us since the start
-        ("time", texts(45352.25 + SECONDS / 86400, ".10f"), 0.01),  # Excel
-        ("datenum", texts(739312.25 + SECONDS / 86400, ".10f"), 0.01),  # MATLAB
+        ("time", texts(45352.25 + SECONDS / 86400, ".10f"), 0.01),  # a spreadsheet's days
         ("time (min)", texts(SECONDS / 60), 0.01),
         ("Elapsed Time (h)", texts(SECONDS / 3600, ".11f"), 0.01),
         ("Temps (s)", texts(SECONDS), 0.01),
