@@ -209,6 +209,9 @@ OWN = {"t", "ax", "ay", "az"}
 _OWN_RATES = ("gx", "gy", "gz")
 
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
+_NUMBERED = re.compile(r"^(?:v|vals?|values?|data)([012])$")
+"""Axes as Android counts the values of an event."""
+
 _BRACKETS = re.compile(r"[\[(]([^\])]*)[\])]")
 _CAMEL = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9°µ²^']+")
 _AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
@@ -437,6 +440,9 @@ def _split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
     for i in reversed(range(len(words))):
         if words[i] in ("x", "y", "z"):
             return _AXES[words[i]], words[:i] + words[i + 1 :]
+        numbered = _NUMBERED.match("".join(words[max(i - 1, 0) : i + 1])) or _NUMBERED.match(words[i])
+        if numbered:
+            return _AXES[numbered[1]], words[: i if words[i][0].isalpha() else i - 1] + words[i + 1 :]
         turns = _TURN_IN_ONE.match(words[i])
         if turns or (words[i] in _ATTITUDE and _TURNS & set(words)):
             about = turns[1] if turns else words[i]

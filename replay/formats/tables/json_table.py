@@ -78,13 +78,13 @@ class JsonTable:
             yield Block(side_by_side(columns) if columns else np.empty((len(rows), 0)), lines)
 
     def texts(self, place: int) -> list[str] | None:
-        """Return the different texts of a field; None where one is no text, or more than MOST_TEXTS."""
+        """Return the texts and whole numbers of a field; None where one is neither, or more than MOST_TEXTS."""
         known: dict[str, None] = {}
         for rows, _ in self._read():
             values = [value for value in _values(rows, self._paths[place]) if value is not None]
-            if not all(isinstance(value, str) for value in values):
+            if not all(isinstance(value, str | int) for value in values):
                 return None
-            known |= dict.fromkeys(values)
+            known |= dict.fromkeys(map(str, values))
             if len(known) > MOST_TEXTS:
                 return None
         return list(known)
@@ -130,7 +130,7 @@ class JsonTable:
         chosen = list(range(len(rows)))
         for place, text in key:
             values = _values(rows, self._paths[place])
-            chosen = [i for i in chosen if values[i] == text]
+            chosen = [i for i in chosen if str(values[i]) == text]
         return chosen
 
     def _column(self, place: int, rows: list[Any], lines: NDArray[np.int64]) -> Array:

@@ -189,3 +189,61 @@ def test_what_a_person_does_and_flags_are_no_devices(tmp_path: Path, label: Call
     rows = [f"{t!r},{x!r},{y!r},{z!r}" for t, (x, y, z) in zip(T.tolist(), FORCE.tolist(), strict=True)]
     recording = read(tmp_path, ["t,ax,ay,az,label", *(f"{row},{label(i)}" for i, row in enumerate(rows))])
     np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+
+
+def by_types(name: str, axes: str, force: int, rates: int) -> list[str]:
+    rows = (
+        f"{t},{kind},{joined}"
+        for t in range(0, 2000, 10)
+        for kind, joined in (
+            (force, f"{0.1 + t % 7 / 100},0.2,9.8"),
+            (rates, f"{t % 3 / 100},0.02,0.03"),
+            (6, "1,2,3"),
+        )
+    )
+    return [f"time_ms,{name},{axes}", *rows]
+
+
+@pytest.mark.parametrize(
+    ("name", "axes", "types"),
+    [
+        ("sensor_type", "x,y,z", (1, 4)),
+        ("type", "v0,v1,v2", (35, 4)),
+        ("sensorType", "value_0,value_1,value_2", (1, 16)),
+        ("id", "values[0],values[1],values[2]", (35, 16)),
+    ],
+)
+@pytest.mark.parametrize("form", ["csv", "json"])
+def test_android_s_numbers_of_sensors(
+    tmp_path: Path, name: str, axes: str, types: tuple[int, int], form: str
+) -> None:
+    lines = by_types(name, axes, *types)
+    if form == "json":
+        names = lines[0].split(",")
+        lines = [
+            json.dumps(
+                dict(zip(names, map(float, row.split(",")), strict=True)) | {name: int(row.split(",")[1])}
+            )
+            for row in lines[1:]
+        ]
+    path = tmp_path / "r.txt"
+    path.write_text("\n".join(lines) + "\n")
+    recording = read_all(path)
+    np.testing.assert_allclose(recording.accelerometer.xyz[:, 2], 9.8)
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz[:, 1:], [[0.02, 0.03]] * 200)
+    assert "passed over: pressure" in recording.notes[0]
+
+
+def test_numbers_that_may_mean_anything_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(by_types("sensor", "x,y,z", 1, 4)) + "\n")
+    with pytest.raises(TraceError, match=r"'sensor' may hold Android's types.*call it sensor_type"):
+        read_all(path)
+
+
+def test_labels_of_activities_are_no_sensors(tmp_path: Path) -> None:
+    path = tmp_path / "accelerometer.csv"
+    rows = (f"{i * 10},{1 + i // 50},{i % 7 / 100},0.2,9.8" for i in range(200))
+    path.write_text("\n".join(["time_ms,activity_type,x,y,z", *rows]) + "\n")
+    assert len(read_all(path).accelerometer) == 200
