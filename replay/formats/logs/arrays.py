@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +34,11 @@ from stillcal.replay.formats.recognition.names import (
     qualified,
     rates_alone,
 )
+from stillcal.replay.formats.recognition.row_sensors import sensors_of_rows
 from stillcal.replay.formats.recognition.settle import OneSensor, settled
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.chosen import MOST_TEXTS
 from stillcal.replay.formats.tables.numbers import BLOCK_ROWS, NumberTable, as_floats, of_arrow, side_by_side
 from stillcal.replay.formats.tables.table import Table
 
@@ -53,6 +56,7 @@ class _Arrays:
     columns: by name, each giving its values between two rows. length: rows. rate_hz: where a number says so.
     windows: whether there are arrays of three dimensions, which are no columns. uneven: rows of the sensors'
     arrays, by name, where no gyroscope has those of an accelerometer. clocks: rows of what may be times.
+    words: the texts of columns of texts, whose values are places in them.
     """
 
     columns: dict[str, Callable[[int, int], Array]] = field(default_factory=dict)
@@ -61,6 +65,7 @@ class _Arrays:
     windows: bool = False
     uneven: dict[str, int] = field(default_factory=dict)
     clocks: frozenset[int] = frozenset()
+    words: dict[str, list[str]] = field(default_factory=dict)
 
     def table(self, path: Path, size: int) -> NumberTable:
         """Return the columns as a table that is read in blocks."""
@@ -72,7 +77,18 @@ class _Arrays:
                 chosen = [as_floats(self.columns[names[p]](first, last)) for p in places]
                 yield side_by_side(chosen), last / self.length
 
-        return NumberTable(path, names, rows, size)
+        return NumberTable(path, names, rows, size, self.words)
+
+
+class _Texts:
+    """An array of texts (n,) as places in the list of its different ones."""
+
+    def __init__(self, values: Array) -> None:
+        self.words, self.codes = np.unique(values, return_inverse=True)
+        self.shape, self.ndim, self.size = self.codes.shape, self.codes.ndim, self.codes.size
+
+    def __getitem__(self, rows: slice) -> Array:
+        return np.asarray(self.codes[rows])
 
 
 def open_arrays(source: Source, kind: str, column_map: ColumnMap | None = None) -> Log:
@@ -107,6 +123,11 @@ def _sensors(
         if is_own(table.names or []):
             found += mapped(table, load_map("csv"), group)
             continue
+        if arrays.words:
+            own = sensors_of_rows(partial(arrays.table, source.path, size), load_map("csv"), arrays.rate_hz)
+            found += own
+            if own:
+                continue
         said = _uneven(source.path, arrays)
         for sensor in settled(table, load_map("csv"), arrays.rate_hz, _rates_of(group, groups, tables)):
             name = "/".join(part for part in (group, sensor.name) if part and part != "imu") or "imu"
@@ -186,7 +207,26 @@ def _parquet(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
     parquet = library("pyarrow.parquet", "parquet", stored.path, magic.PARQUET)
     file = parquet.ParquetFile(str(stored.local))
     names = [f.name for f in file.schema_arrow if _is_number(f.type)]
-    return {"": _ParquetColumns(stored, names, file.metadata.num_rows)}, []
+    texts = {f.name: _words_of(file, f.name) for f in file.schema_arrow if _is_text(f.type)}
+    words = {name: found for name, found in texts.items() if found is not None}
+    return {"": _ParquetColumns(stored, [*names, *words], file.metadata.num_rows, words)}, []
+
+
+def _is_text(kind: Any) -> bool:
+    from pyarrow import types  # noqa: PLC0415 - only where a Parquet file is read
+
+    kind = kind.value_type if types.is_dictionary(kind) else kind
+    return bool(types.is_string(kind) or types.is_large_string(kind))
+
+
+def _words_of(file: Any, name: str) -> list[str] | None:
+    """Return the different texts of a Parquet file's column; None where they are more than MOST_TEXTS."""
+    known: dict[str, None] = {}
+    for batch in file.iter_batches(BLOCK_ROWS, columns=[name], use_threads=False):
+        known |= dict.fromkeys(text for text in batch.column(0).unique().to_pylist() if text is not None)
+        if len(known) > MOST_TEXTS:
+            return None
+    return list(known)
 
 
 def _is_number(kind: Any) -> bool:
@@ -203,8 +243,8 @@ def _is_number(kind: Any) -> bool:
 class _ParquetColumns(_Arrays):
     """Columns of a Parquet file."""
 
-    def __init__(self, stored: Source, names: list[str], length: int) -> None:
-        super().__init__(dict.fromkeys(names, lambda first, last: np.empty(0)), length)
+    def __init__(self, stored: Source, names: list[str], length: int, words: dict[str, list[str]]) -> None:
+        super().__init__(dict.fromkeys(names, lambda first, last: np.empty(0)), length, words=words)
         self._stored = stored
 
     def table(self, path: Path, size: int) -> NumberTable:
@@ -220,14 +260,20 @@ class _ParquetColumns(_Arrays):
                 chosen = list(dict.fromkeys(wanted))
                 for batch in file.iter_batches(BLOCK_ROWS, columns=chosen, use_threads=False):
                     done += batch.num_rows
-                    columns = [_numbers(batch.column(batch.schema.get_field_index(n))) for n in wanted]
+                    columns = [
+                        _numbers(batch.column(batch.schema.get_field_index(n)), self.words.get(n))
+                        for n in wanted
+                    ]
                     yield side_by_side(columns), done / max(self.length, 1)
 
-        return NumberTable(path, names, rows, size)
+        return NumberTable(path, names, rows, size, self.words)
 
 
-def _numbers(column: Any) -> Array:
-    """Return an Arrow column as numbers, NaN where it is null; times in s."""
+def _numbers(column: Any, words: Sequence[str] | None) -> Array:
+    """Return an Arrow column as numbers, NaN where it is null; times in s, texts as places in `words`."""
+    if words is not None:
+        places = {word: float(place) for place, word in enumerate(words)}
+        return np.array([places.get(text, np.nan) for text in column.to_pylist()], dtype=np.float64)
     unit = getattr(column.type, "unit", None)
     values = of_arrow(column if unit is None else column.cast("int64"))
     return values if unit is None else values * TIME_UNITS[unit]
@@ -254,9 +300,11 @@ def _hdf5(stored: Source) -> tuple[dict[str, _Arrays], list[str]]:
             _note_rate(scalars, attribute, value)
         if isinstance(item, h5py.Dataset) and item.dtype.names is not None and item.nbytes <= MOST_BYTES:
             by_group.setdefault(name, {}).update(_of_numbers(name, item[()]))
+        group, _, last = name.rpartition("/")
+        if isinstance(item, h5py.Dataset) and h5py.check_string_dtype(item.dtype) and item.ndim == 1:
+            by_group.setdefault(group, {}).update(_of_texts(last, item.asstr()[()].astype(str)))
         if not isinstance(item, h5py.Dataset) or item.dtype.kind not in "iuf":
             return None
-        group, _, last = name.rpartition("/")
         if item.size == 1:
             scalars[last] = float(np.ravel(item[()])[0])
         else:
@@ -323,7 +371,15 @@ def _of_numbers(name: str, value: Any) -> dict[str, Any]:
         return {key: item for found in fields for key, item in found.items()}
     if value.dtype.kind in "mM":
         return {name: value.astype(f"{value.dtype.kind}8[ns]").astype(np.int64) / 1e9}
+    if value.dtype.kind in "US" and value.ndim == 1:
+        return _of_texts(name, value.astype(str))
     return {name: value} if value.dtype.kind in "iuf" else {}
+
+
+def _of_texts(name: str, values: Array) -> dict[str, Any]:
+    """Return an array of texts by its name; nothing where more than MOST_TEXTS are different."""
+    texts = _Texts(values) if values.size > 1 else None
+    return {name: texts} if texts is not None and len(texts.words) <= MOST_TEXTS else {}
 
 
 def _firmware(text: str) -> Iterator[str]:
@@ -343,7 +399,8 @@ def _gathered(items: Mapping[str, Any], scalars: Mapping[str, float]) -> _Arrays
     shapes = {name: _oriented(item) for name, item in items.items()}
     gathered = _Arrays(rate_hz=next((v for k, v in scalars.items() if is_rate_hz(k) and v > 0), None))
     gathered.windows = any(len(item.shape) > 2 for item in items.values())
-    lengths = [rows for rows, columns, _ in shapes.values() if columns in (1, 3)]
+    of_numbers = [shape for name, shape in shapes.items() if not isinstance(items[name], _Texts)]
+    lengths = [rows for rows, columns, _ in of_numbers if columns in (1, 3)]
     if not lengths:
         return gathered
     longest = max(lengths)
@@ -357,6 +414,8 @@ def _gathered(items: Mapping[str, Any], scalars: Mapping[str, float]) -> _Arrays
     for name, (rows, columns, transposed) in shapes.items():
         if rows < gathered.length or columns not in (1, 3):
             continue
+        if isinstance(items[name], _Texts):
+            gathered.words[name] = items[name].words.tolist()
         for i in range(columns):
             gathered.columns[name if columns == 1 else f"{name}[{i}]"] = _slice(items[name], i, transposed)
     return gathered

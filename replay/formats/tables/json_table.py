@@ -78,7 +78,7 @@ class JsonTable:
             yield Block(side_by_side(columns) if columns else np.empty((len(rows), 0)), lines)
 
     def texts(self, place: int) -> list[str] | None:
-        """Return the texts and whole numbers of a field; None where one is neither, or more than MOST_TEXTS."""
+        """Return the texts or whole numbers of a field; None where one is neither, or beyond MOST_TEXTS."""
         known: dict[str, None] = {}
         for rows, _ in self._read():
             values = [value for value in _values(rows, self._paths[place]) if value is not None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.tables.table import EMPTY, Block
+from stillcal.replay.formats.tables.table import EMPTY, OPENING_ROWS, Block
 
 BLOCK_ROWS = 32768
 """Rows given at a time, so that memory stays flat."""
@@ -24,10 +24,19 @@ class NumberTable:
     """A table of numbers; NaN stands for an empty cell.
 
     path: what messages call it. names: the columns. rows: reads it from its start. size_bytes: as stored.
+    words: by their columns' names, the texts of which a column holds the places.
     """
 
-    def __init__(self, path: Path, names: Sequence[str], rows: Rows, size_bytes: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        names: Sequence[str],
+        rows: Rows,
+        size_bytes: int,
+        words: Mapping[str, Sequence[str]] | None = None,
+    ) -> None:
         self.path = path
+        self._words = {list(names).index(name): list(texts) for name, texts in (words or {}).items()}
         self.names: list[str] | None = list(names)
         self.width = len(names)
         self.header_line: int | None = None
@@ -38,17 +47,40 @@ class NumberTable:
         self.skipped_rows = 0
         self.notes: list[str] = []
         self._rows = rows
+        if self._words:
+            self.opening = self._as_texts()
+            self.first_row = next(iter(self.opening), [])
 
     def blocks(self, places: Sequence[int], key: Sequence[tuple[int, str]] = ()) -> Iterator[Block]:
         """Yield the columns at `places` block by block; rows are numbered from 1."""
-        del key  # rows are chosen by text, which these tables have not
+        wanted = [(place, self._words[place].index(text)) for place, text in key]
         line = 1
-        for values, share in self._read(places):
+        for read, share in self._read([*places, *(place for place, _ in wanted)]):
             self.bytes_read = int(share * self.size_bytes)
-            lines = np.arange(line, line + len(values))
-            line += len(values)
+            lines = np.arange(line, line + len(read))
+            line += len(read)
+            values = read[:, : len(places)]
+            if wanted:
+                chosen = (read[:, len(places) :] == [code for _, code in wanted]).all(axis=1)
+                values, lines = values[chosen], lines[chosen]
             whole = not values.size or not np.isnan(values.min())  # the least is NaN where one is
             yield Block(values if whole else np.where(np.isnan(values), EMPTY, values), lines)
+
+    def texts(self, place: int) -> list[str] | None:
+        """Return the different texts of a column; None where it holds numbers."""
+        return self._words.get(place)
+
+    def _as_texts(self) -> list[list[str]]:
+        """Return the first rows as cells of text."""
+        values, _ = next(self._read(range(self.width)), (np.empty((0, self.width)), 0.0))
+        words = [self._words.get(place) for place in range(self.width)]
+        return [
+            [
+                "" if np.isnan(value) else f"{value:.17g}" if texts is None else texts[int(value)]
+                for value, texts in zip(row, words, strict=True)
+            ]
+            for row in values[:OPENING_ROWS].tolist()
+        ]
 
     def read_dates(self, place: int) -> None:
         """Refuse: these tables hold numbers only."""

@@ -247,3 +247,50 @@ def test_labels_of_activities_are_no_sensors(tmp_path: Path) -> None:
     rows = (f"{i * 10},{1 + i // 50},{i % 7 / 100},0.2,9.8" for i in range(200))
     path.write_text("\n".join(["time_ms,activity_type,x,y,z", *rows]) + "\n")
     assert len(read_all(path).accelerometer) == 200
+
+
+def written_parquet(path: Path, columns: dict[str, np.ndarray]) -> None:
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet  # noqa: PLC0415 - an extra
+
+    table = pyarrow.table({name: pyarrow.array(values.tolist()) for name, values in columns.items()})
+    parquet.write_table(table, path, row_group_size=150)
+
+
+def written_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
+    with path.open("wb") as file:
+        np.savez(file, **columns)
+
+
+def written_hdf5(path: Path, columns: dict[str, np.ndarray]) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name, values in columns.items():
+            file["log/" + name] = values.astype(object) if values.dtype.kind == "U" else values
+
+
+def written_hdf5_rows(path: Path, columns: dict[str, np.ndarray]) -> None:
+    h5py = pytest.importorskip("h5py")
+    kinds = [(name, "S16" if v.dtype.kind == "U" else v.dtype) for name, v in columns.items()]
+    rows = np.array(list(zip(*columns.values(), strict=True)), dtype=kinds)
+    with h5py.File(path, "w") as file:
+        file["log"] = rows
+
+
+@pytest.mark.parametrize("write", [written_parquet, written_npz, written_hdf5, written_hdf5_rows])
+def test_arrays_may_hold_a_row_for_each_sensor(
+    tmp_path: Path, write: Callable[[Path, dict[str, np.ndarray]], None]
+) -> None:
+    n = 200
+    time = np.arange(n) * 10.0 + 1000
+    force = np.random.default_rng(2).normal([0.1, 0.2, 9.8], 0.02, (n, 3))
+    rates = np.random.default_rng(3).normal(0.0, 0.02, (n, 3))
+    rows = np.stack([force, rates], axis=1).reshape(-1, 3)
+    columns = {"sensor": np.tile(["accelerometer", "gyroscope"], n), "time_ms": np.repeat(time, 2)}
+    path = tmp_path / "r"
+    write(path, columns | dict(zip("xyz", rows.T.copy(), strict=True)))
+    recording = read_all(path)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, force)
+    np.testing.assert_allclose(recording.accelerometer.t, time / 1000)
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.gyroscope.xyz, rates)
