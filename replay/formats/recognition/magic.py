@@ -14,7 +14,7 @@ PARQUET, HDF5, MATLAB, NPY, ZIP = "Parquet", "HDF5", "MATLAB", "NumPy", "zip"
 JSON = "JSON"
 TEXT = "text"
 
-_STARTS = {
+STARTS = {
     b"ULog\x01\x12\x35": ULOG,
     b"\xa3\x95\x80": DATAFLASH,
     b"MD": AXIVITY,
@@ -29,6 +29,7 @@ _STARTS = {
     b"PK\x03\x04": ZIP,
     b"PK\x05\x06": ZIP,
 }
+"""How the files of each kind begin."""
 
 _BLACKBOX = "a Betaflight blackbox log"
 _FOREIGN = {
@@ -68,7 +69,7 @@ def kind_of(source: Source) -> str:
     Raises ForeignError where it is of no kind that is read, TraceError where it cannot be read.
     """
     head = source.head()
-    for start, kind in _STARTS.items():
+    for start, kind in STARTS.items():
         if head.startswith(start) and (kind != AXIVITY or b"\0" in head or b"\xff" in head):
             return kind
     for start, name in _FOREIGN.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -45,11 +46,8 @@ from stillcal.replay.formats.tables.text import NoRowsError, TextTable, has_rows
 AUTO = "auto"
 """The format of a recording whose content is to decide, as None is."""
 
-_BINARY_LOGS = {
-    magic.AXIVITY: open_axivity,
-    magic.DATAFLASH: open_dataflash,
-    magic.ULOG: open_ulog,
-}
+Reader = Callable[[Source, ColumnMap | None, Source | None], Log]
+"""Opens a recording by a given column map, or by what is in it; the last argument is the gyroscope's file."""
 
 
 class RestTableGivenError(TraceError):
@@ -86,24 +84,38 @@ def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
 
 
 def _log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
-    kind = magic.kind_of(source)
-    if kind in _TABLES:
-        return _TABLES[kind](source, column_map, gyro)
-    if kind == magic.ZIP:
-        members = members_of_zip(source)
-        if members and all(name.endswith(".npy") for name in members):
-            return open_arrays(source, kind, column_map)
-        return _archive(source.path, members, column_map)
-    if kind in (magic.PARQUET, magic.HDF5, magic.MATLAB):
-        return open_arrays(source, kind, column_map)
-    if column_map is not None:
-        what = f"is {kind}, which says itself what is in it"
-        raise TraceError(source.path, what, "leave --format out")
-    if kind in (magic.ROS1, magic.ROS2, magic.MCAP):
-        return open_ros(source, kind)
-    if kind in _BINARY_LOGS:
-        return _BINARY_LOGS[kind](source)
-    raise TraceError(source.path, f"is {kind}, which is not read", "save the arrays as .npz, or export CSV")
+    return READERS[magic.kind_of(source)](source, column_map, gyro)
+
+
+def _arrays(kind: str) -> Reader:
+    """Return the reader of files of named arrays."""
+    return lambda source, column_map, _: open_arrays(source, kind, column_map)
+
+
+def _self_described(kind: str, opened: Callable[[Source], Log]) -> Reader:
+    """Return the reader of logs that say themselves what is in them, and take no column map."""
+
+    def read(source: Source, column_map: ColumnMap | None, _: Source | None) -> Log:
+        if column_map is not None:
+            what = f"is {kind}, which says itself what is in it"
+            raise TraceError(source.path, what, "leave --format out")
+        return opened(source)
+
+    return read
+
+
+def _one_array(source: Source, _column_map: ColumnMap | None, _gyro: Source | None) -> Log:
+    """Refuse an array without a name. Raises TraceError."""
+    what = f"is {magic.NPY}, which is not read"
+    raise TraceError(source.path, what, "save the arrays as .npz, or export CSV")
+
+
+def _zip_log(source: Source, column_map: ColumnMap | None, _: Source | None) -> Log:
+    """Return what a zip archive holds, which may be NumPy's arrays. Raises TraceError."""
+    members = members_of_zip(source)
+    if members and all(name.endswith(".npy") for name in members):
+        return open_arrays(source, magic.ZIP, column_map)
+    return _archive(source.path, members, column_map)
 
 
 def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | None) -> Log:
@@ -343,5 +355,21 @@ def other_file(path: Path, rules: tuple[tuple[str, str], ...]) -> Path | None:
     return None
 
 
-_TABLES = {magic.TEXT: _text_log, magic.JSON: _json_log}
-"""What opens the tables that a gyroscope's own file may go with."""
+_TABLES: dict[str, Reader] = {magic.TEXT: _text_log, magic.JSON: _json_log}
+"""The tables that a gyroscope's own file may go with."""
+
+_LOGS: dict[str, Callable[[Source], Log]] = {
+    magic.AXIVITY: open_axivity,
+    magic.DATAFLASH: open_dataflash,
+    magic.ULOG: open_ulog,
+    **{kind: partial(open_ros, kind=kind) for kind in (magic.ROS1, magic.ROS2, magic.MCAP)},
+}
+
+READERS: dict[str, Reader] = {
+    **_TABLES,
+    **{kind: _arrays(kind) for kind in (magic.PARQUET, magic.HDF5, magic.MATLAB)},
+    **{kind: _self_described(kind, opened) for kind, opened in _LOGS.items()},
+    magic.ZIP: _zip_log,
+    magic.NPY: _one_array,
+}
+"""What opens a file of each kind that magic.kind_of tells apart."""

@@ -22,7 +22,8 @@ import pytest
 import stillcal
 from stillcal.replay.formats import sources
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.opened import is_rest_table
+from stillcal.replay.formats.recognition import magic
+from stillcal.replay.formats.recognition.opened import READERS, is_rest_table
 from stillcal.replay.formats.trace import open_trace, read_all
 from tests.support.log_files import (
     DATA,
@@ -592,3 +593,9 @@ def test_other_texts_are_named(tmp_path: Path, text: str, kind: str) -> None:
     (tmp_path / "r.txt").write_text(text)
     with pytest.raises(TraceError, match=f"is {kind}, not a recording"):
         read_all(tmp_path / "r.txt")
+
+
+def test_every_kind_of_file_has_a_reader_that_the_documentation_names() -> None:
+    told = (Path(__file__).parents[3] / "docs" / "formats.md").read_text()
+    assert set(READERS) == {*magic.STARTS.values(), magic.JSON, magic.TEXT}
+    assert [kind for kind in READERS if kind not in told] == []
