@@ -8,6 +8,7 @@ the sensors of one log apart.
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -29,6 +30,7 @@ _ACCELERATION = {
         "alpha",
     ),
     *("force", "gforce", "gf"),
+    *("beschleunigung", "aceleracion", "accelerazione", "aceleracao", "versnelling", "przyspieszenie"),
 }
 _RATE = {
     *(
@@ -45,6 +47,7 @@ _RATE = {
         "rotationrate",
     ),
     *("rot", "angvel", "angrate", "turnrate", "bodyrate"),
+    *("drehrate", "winkelgeschwindigkeit", "gyroskop", "giroscopio", "giroscopo", "zyroskop"),
 }
 _NEITHER = {
     *(
@@ -424,8 +427,9 @@ def _words(name: str) -> tuple[str, list[str]]:
 
 
 def split_words(text: str) -> list[str]:
-    """Return the words of a text in small letters, those of camelCase apart."""
-    return [word.lower() for word in _CAMEL.split(text) if word]
+    """Return the words of a text in small letters and without accents, those of camelCase apart."""
+    plain = "".join(c for c in unicodedata.normalize("NFD", text) if not unicodedata.combining(c))
+    return [word.lower() for word in _CAMEL.split(plain) if word]
 
 
 def _spelled(unit: str) -> str:

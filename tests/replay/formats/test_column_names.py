@@ -112,3 +112,21 @@ def test_a_temperature_of_another_name_beside_own_columns_is_read(tmp_path: Path
     recording = read(tmp_path, "t,ax,ay,az,gx,gy,gz,temp_K", DATA, np.full(len(DATA), 300.0))
     assert recording.accelerometer.temperature is not None
     np.testing.assert_allclose(recording.accelerometer.temperature, 26.85)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Zeit,Beschleunigung X,Beschleunigung Y,Beschleunigung Z,Drehrate X,Drehrate Y,Drehrate Z",
+        "tiempo,aceleración_x,aceleración_y,aceleración_z,giroscopio_x,giroscopio_y,giroscopio_z",
+        "Temps (s),Accélération x,Accélération y,Accélération z,Gyroscope x,Gyroscope y,Gyroscope z",
+    ],
+)
+def test_names_in_other_languages(tmp_path: Path, header: str) -> None:
+    assert_read(read(tmp_path, header, DATA))
+
+
+def test_a_format_of_two_files_may_hold_both_sensors_in_one(tmp_path: Path) -> None:
+    force = ",".join(f'"Acceleration {axis} (m/s^2)"' for axis in "xyz")
+    rates = ",".join(f'"Gyroscope {axis} (rad/s)"' for axis in "xyz")
+    assert_read(read(tmp_path, f'"Time (s)",{force},{rates}', DATA))
