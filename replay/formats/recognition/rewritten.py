@@ -55,15 +55,14 @@ def rewritten(source: Source) -> Rewritten:
         if step is not None:
             steps.append(step)
             head = [step(line) for line in head]
-    labels = next((i for i, line in enumerate(head[:_LOOKED_AT]) if _labelled(line) is not None), None)
-    found = _labelled(head[labels]) if labels is not None else None
-    if labels is not None and found is not None:
+    labelled = [(i, found[0]) for i, line in enumerate(head[:_LOOKED_AT]) if (found := _labelled(line))]
+    alike = [(i, names) for i, names in labelled if names == labelled[-1][1]]
+    first, names = alike[0] if len(alike) > 1 else (0, None)  # one line of them says how the board is set
+    if names is not None:
         steps.append(_cells_of_labelled)
-        names = found[0]
     else:
         lists = _without_lists(head)
         steps += [lists] if lists else []
-        names = None
     if not steps:
         return Rewritten(plain)
 
@@ -72,7 +71,7 @@ def rewritten(source: Source) -> Rewritten:
             line = step(line)
         return line
 
-    return Rewritten(copied_by_lines(plain, line_in_cells), names, labels or 0)
+    return Rewritten(copied_by_lines(plain, line_in_cells), names, first)
 
 
 def _without_stamps(lines: Sequence[str]) -> Rewrite | None:

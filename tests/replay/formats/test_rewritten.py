@@ -82,3 +82,10 @@ def test_a_faulty_line_is_named_as_it_stands_in_the_file(tmp_path: Path) -> None
     path.write_text("time_ms,acc\n" + "\n".join(f'{t},"[1, 2, 9]"' for t in MS) + '\n1600,"[1, 2]"\n')
     with pytest.raises(TraceError, match=r"r\.txt:62: 3 cells instead of 4"):
         read_all(path)
+
+
+def test_a_board_s_settings_are_no_row(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(MS, FORCE, strict=True))
+    path.write_text(f"odr=100, range=8, gain=2\ntime_ms,acc_x,acc_y,acc_z\n{rows}\n")
+    np.testing.assert_array_equal(read_all(path).accelerometer.xyz, FORCE)
