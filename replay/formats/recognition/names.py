@@ -7,6 +7,7 @@ the sensors of one log apart.
 
 from __future__ import annotations
 
+import itertools
 import re
 import unicodedata
 from collections.abc import Sequence, Set
@@ -368,6 +369,17 @@ def without_gravity(names: Sequence[str]) -> list[str]:
     """Return the columns that hold acceleration from which gravity was taken, as their names say."""
     words = {name: set(_words(name)[1]) for name in names}
     return [name for name, said in words.items() if said & _WITHOUT_GRAVITY and said & _ACCELERATION]
+
+
+def unread_rates(names: Sequence[str]) -> list[str]:
+    """Return the columns that are called after a gyroscope, where they name no axes that are known."""
+    plain = SENSOR_WORDS[Sensor.GYROSCOPE] - {"w", "g"} | {"rotationrate"}
+    found = [(name, split_words(name)) for name in names if not find_stamps([name])]
+    return [
+        name
+        for name, words in found
+        if plain & {*words, *map("".join, itertools.pairwise(words))} and not _NEITHER & set(words)
+    ]
 
 
 def is_own(names: Sequence[str]) -> bool:

@@ -44,6 +44,7 @@ from stillcal.replay.formats.recognition.names import (
     find_axes,
     find_stamps,
     find_thermometer,
+    unread_rates,
 )
 from stillcal.replay.formats.recognition.unnamed import places_of
 from stillcal.replay.formats.stream import SampleFile
@@ -243,6 +244,8 @@ def _sensor(
         rate_unit, rate_said = _rate_unit([part], gyroscope, force_unit)
         chosen["gyroscope"] = SensorMap(columns=gyroscope.columns, unit=rate_unit)
         said.append(f"gyroscope {_listed(gyroscope)} in {rate_unit}{rate_said}")
+    elif rates is None and (unread := unread_rates(table.names or [])):
+        said.append(f"not read, since they name no axes x, y, z: {', '.join(unread[:6])}")
     thermometer = find_thermometer(table.names or [], accelerometer.label)
     if thermometer is not None and probe.plausible_temperature(thermometer):
         chosen["temperature"] = TemperatureMap(column=thermometer[0], unit=thermometer[1])

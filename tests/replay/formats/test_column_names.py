@@ -130,3 +130,12 @@ def test_a_format_of_two_files_may_hold_both_sensors_in_one(tmp_path: Path) -> N
     force = ",".join(f'"Acceleration {axis} (m/s^2)"' for axis in "xyz")
     rates = ",".join(f'"Gyroscope {axis} (rad/s)"' for axis in "xyz")
     assert_read(read(tmp_path, f'"Time (s)",{force},{rates}', DATA))
+
+
+def test_rates_whose_axes_are_not_known_are_named(tmp_path: Path) -> None:
+    """Browsers have called x, y, z alpha, beta, gamma, and z, x, y too (W3C, Device Orientation)."""
+    recording = read(
+        tmp_path, "t_s,acc_x,acc_y,acc_z,rotationRate.alpha,rotationRate.beta,rotationRate.gamma", DATA
+    )
+    assert recording.gyroscope is None
+    assert "not read, since they name no axes x, y, z: rotationRate.alpha" in recording.notes[0]
