@@ -178,29 +178,22 @@ def subtract(recorded: Quantity, simulated: Quantity) -> Difference:
     value = recorded.value - simulated.value
     covariance = recorded.covariance + simulated.covariance
     noise = covariance + np.diag(recorded.tolerance**2)
-    cases = [(np.ones(value.size, dtype=np.bool_), 0.5)]
     axes = [a for a in np.unique(recorded.axis_of) if a >= 0]
-    if len(axes) > 1:
-        cases += [(recorded.axis_of == a, 0.5 / len(axes)) for a in axes]
-    else:
-        cases = [(cases[0][0], 1.0)]
-    mixed, usual = (
-        float(
-            np.logaddexp.reduce(
-                [_log_bayes_factor(value, noise, recorded.size * on, parts) + np.log(w) for on, w in cases]
-            )
-        )
-        for parts in (SIZES, SIZES[:1])
-    )
-    return Difference(recorded, simulated, value, covariance, mixed, usual)
+    single = [recorded.axis_of == a for a in axes] if len(axes) > 1 else []
+    cases = np.array([np.ones(value.size), *single])
+    prior = np.array([0.5, *(0.5 / len(single) for _ in single)]) if single else np.ones(1)
+    factors = _log_bayes_factors(value, noise, recorded.size * cases) + np.log(prior)[:, None]
+    mixed = log_sum(factors) - float(np.log(SIZES.size))
+    return Difference(recorded, simulated, value, covariance, mixed, log_sum(factors[:, 0]))
 
 
-def _log_bayes_factor(value: Array, noise: Array, size: Array, parts: Array) -> float:
-    """Return the log of the mean of N(value; 0, noise + s^2) / N(value; 0, noise) over s = size `parts`."""
-    both = noise + (parts[:, None, None] * np.diag(size)) ** 2
+def _log_bayes_factors(value: Array, noise: Array, sizes: Array) -> Array:
+    """Return log of N(value; 0, noise + s^2) / N(value; 0, noise) (c, p); s: p `SIZES` of c sizes."""
+    scaled = SIZES[:, None] * sizes[:, None, :]
+    both = noise + scaled[..., None] ** 2 * np.eye(value.size)
     room = np.linalg.slogdet(noise)[1] - np.linalg.slogdet(both)[1]
-    gain = value @ np.linalg.solve(noise, value) - np.linalg.solve(both, value) @ value
-    return log_sum(0.5 * (room + gain)) - float(np.log(parts.size))
+    solved = np.linalg.solve(both, np.broadcast_to(value[:, None], (*both.shape[:-1], 1)))[..., 0]
+    return np.asarray(0.5 * (room + value @ np.linalg.solve(noise, value) - solved @ value))
 
 
 def weighed(differences: Sequence[Difference], comparisons: int) -> list[Difference]:
