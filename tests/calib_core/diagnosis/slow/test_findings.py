@@ -30,16 +30,16 @@ from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene, sco
 from tests.support.diagnosis import nulls
 
 
-def day_of(seed: int, rests: int = 20) -> tuple[np.random.Generator, nulls.Day]:
+def day_of(seed: int, rests: int = 20, seconds: int = 3600) -> tuple[np.random.Generator, nulls.Day]:
     """Draw days until one has enough rests in many attitudes, with the charger in and out."""
     rng = np.random.default_rng(seed)
-    day = nulls.schedule(rng)
+    day = nulls.schedule(rng, seconds)
     while (
         day.rest.max() < rests
         or len(np.unique(np.diff(day.charging))) < 3
         or distinct(day.up[day.rest >= 0][::60]) < 10
     ):
-        day = nulls.schedule(rng)
+        day = nulls.schedule(rng, seconds)
     return rng, day
 
 

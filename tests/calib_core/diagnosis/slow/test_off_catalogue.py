@@ -37,8 +37,18 @@ Array = np.ndarray
 QUIET = {sensor: nulls.Wander(pink=0.1 * white) for sensor, white in nulls.WHITE.items()}
 
 
-def gyro_of(seed: int, error: Array | None, day: nulls.Day | None = None) -> tuple[Scene, nulls.Day]:
-    rng, drawn = day_of(seed)
+SECONDS = 2400
+"""Of most days here: in forty minutes what has no name shows beyond doubt."""
+
+
+def short_day(seed: int) -> nulls.Day:
+    return day_of(seed, seconds=SECONDS)[1]
+
+
+def gyro_of(
+    seed: int, error: Array | None, day: nulls.Day | None = None, seconds: int = SECONDS
+) -> tuple[Scene, nulls.Day]:
+    rng, drawn = day_of(seed, seconds=seconds)
     bins = nulls.bins_of(rng, day or drawn, QUIET, gyro_error=error)
     return scenes(bins, nulls.G)[1], day or drawn
 
@@ -49,7 +59,7 @@ def said(seed: int, curve: Array, size: float = 4e-4, without: tuple[str, ...] =
 
 
 def test_a_bias_that_comes_and_goes_is_unknown_with_its_stretch() -> None:
-    _, day = day_of(6)
+    day = short_day(6)
     found = said(6, ((day.t > 1200) & (day.t < 1900)).astype(float))
     assert [f.effect for f in found] == ["unknown"]
     assert found[0].where.t_start == pytest.approx(1200, abs=60)
@@ -61,7 +71,7 @@ def test_what_settles_as_no_first_order_system_does_is_no_warmup(
     taus: tuple[float, ...], named: bool
 ) -> None:
     """A single exponential keeps its name, half-way between two points of the coarse grid."""
-    _, day = day_of(6)
+    day = short_day(6)
     curve = sum(1.0 - np.exp(-day.t / tau) for tau in taus)
     scene, _ = gyro_of(6, np.outer(curve, [1e-2, 0.0, -5e-3]))
     first, *others = compete(scene, proposals(scene, [Warmup("gyro"), Settling("gyro")]))
@@ -88,7 +98,7 @@ def test_a_gain_that_differs_by_sign_is_no_square_of_the_force(
 
 
 def test_a_cycle_is_unknown_with_its_period() -> None:
-    _, day = day_of(6)
+    day = short_day(6)
     found = said(6, np.sin(2 * np.pi * day.t / 400.0))
     (only,) = found
     assert only.effect == "unknown"
@@ -99,7 +109,7 @@ def test_a_cycle_is_unknown_with_its_period() -> None:
 
 
 def test_a_curve_that_no_polynomial_is_follows_temperature_without_a_name() -> None:
-    _, day = day_of(5)
+    day = short_day(5)
     warm = day.temperature - np.quantile(day.temperature, 0.3)
     found = said(5, np.tanh(warm / (0.05 * np.ptp(warm))))
     assert {f.effect for f in found} == {"unknown"}
@@ -107,7 +117,7 @@ def test_a_curve_that_no_polynomial_is_follows_temperature_without_a_name() -> N
 
 
 def test_an_effect_taken_out_of_the_catalogue_is_unknown_and_says_what_it_follows() -> None:
-    _, day = day_of(5)
+    day = short_day(5)
     found = said(5, day.temperature - day.temperature.mean(), 2e-4, ("gyro_bias_temperature",))
     assert {f.effect for f in found} == {"unknown"}
     assert "temperature" in found[0].where.driver
@@ -128,7 +138,7 @@ def test_a_force_that_follows_the_product_of_the_other_two_is_unknown_and_follow
 
 def test_a_step_within_a_bin_is_timed_within_it() -> None:
     """A jump of a hundred times a bin's noise leaves no doubt of a time to a tenth of a bin of 18 s."""
-    _, day = day_of(6)
+    day = short_day(6)
     at = 1703.0
     while day.rest[int(at)] < 0:
         at += 7.0
@@ -161,7 +171,7 @@ def test_wander_does_not_bend_the_baseline() -> None:
 
 
 def test_screening_keeps_the_curve_that_was_put_in() -> None:
-    _, day = day_of(6)
+    day = short_day(6)
     scene, _ = gyro_of(6, np.outer((day.t > 900) & (day.t < 1500), [4e-4, 0.0, 0.0]))
     effect = next(e for e in effects_of("gyro") if getattr(e, "many", None) is curves.pulses)
     empty = reduce_scene(scene, [nothing(scene)])
@@ -208,7 +218,7 @@ def test_every_effect_outside_the_catalogue_can_be_drawn() -> None:
 
 
 def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_without_one() -> None:
-    _, day = day_of(6)
+    day = short_day(6)
     scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
     period = ranking(scene, effects_of("gyro"))[0]
     drift = proposals(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])[0]
@@ -221,7 +231,7 @@ def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_with
 
 def test_what_does_not_stand_beside_a_name_does_not_take_it_away() -> None:
     _, day = day_of(7)
-    scene, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]))
+    scene, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]), seconds=3600)
     warmup = ranking(scene, effects_of("gyro"))[0]
     beside = ranking(scene, effects_of("gyro"), [warmup.hypothesis])
     settling = next(s for s in beside if isinstance(s.hypothesis.effect, Settling))
