@@ -32,6 +32,11 @@ def calibration(sample: stillcal.Recording) -> stillcal.Calibration:
 
 
 @pytest.fixture(scope="module")
+def diagnosis(sample: stillcal.Recording) -> stillcal.Diagnosis:
+    return stillcal.diagnose(sample)
+
+
+@pytest.fixture(scope="module")
 def truth() -> dict[str, Any]:
     return json.loads((SAMPLES / "lab.truth.json").read_text())
 
@@ -151,7 +156,10 @@ def test_a_simulated_phone_from_end_to_end() -> None:
 
 
 def test_python_and_the_commands_give_the_same_numbers(
-    sample: stillcal.Recording, calibration: stillcal.Calibration, tmp_path: Path
+    sample: stillcal.Recording,
+    calibration: stillcal.Calibration,
+    diagnosis: stillcal.Diagnosis,
+    tmp_path: Path,
 ) -> None:
     store, out = tmp_path / "store.json", tmp_path / "true.csv"
     for words in (["replay", SAMPLE, "--store", store], ["apply", SAMPLE, "--store", store, "--out", out]):
@@ -161,7 +169,7 @@ def test_python_and_the_commands_give_the_same_numbers(
     assert np.array_equal(written.accelerometer.xyz, applied.accelerometer.xyz)
     assert np.array_equal(written.gyroscope.xyz, applied.gyroscope.xyz)
     told = CliRunner().invoke(cli, ["diagnose", SAMPLE, "--json", "-"], catch_exceptions=False).stdout
-    assert json.loads(told) == stillcal.diagnose(sample).as_dict()
+    assert json.loads(told) == diagnosis.as_dict()
 
 
 def test_what_was_saved_reads_back(
@@ -279,8 +287,9 @@ def test_too_little_is_refused_and_what_is_missing_is_said(sample: stillcal.Reco
         )
 
 
-def test_results_show_themselves(sample: stillcal.Recording, calibration: stillcal.Calibration) -> None:
-    diagnosis = stillcal.diagnose(sample)
+def test_results_show_themselves(
+    sample: stillcal.Recording, calibration: stillcal.Calibration, diagnosis: stillcal.Diagnosis
+) -> None:
     for result in (sample, calibration, diagnosis):
         assert result._repr_html_().startswith("<table>")
     assert "17,409 samples" in repr(sample)

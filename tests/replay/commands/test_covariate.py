@@ -17,14 +17,14 @@ SLOPE = 1.5e-3
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Half an hour at 20 Hz in ten attitudes; the gyroscope's z follows a voltage logged each minute."""
+    """Twenty minutes at 20 Hz in ten attitudes; the gyroscope's z follows a voltage logged each minute."""
     rng, rate_hz = np.random.default_rng(4), 20.0
-    t = np.arange(int(1800 * rate_hz)) / rate_hz
+    t = np.arange(int(1200 * rate_hz)) / rate_hz
     ups = rng.normal(size=(10, 3))
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
-    which = (t / 180.0).astype(int)
-    moving = (t % 180.0) < 4.0
-    minutes = np.arange(0.0, 1801.0, 60.0)
+    which = (t / 120.0).astype(int)
+    moving = (t % 120.0) < 4.0
+    minutes = np.arange(0.0, 1201.0, 60.0)
     volts = 3.8 + 0.25 * np.sin(minutes / 190.0) + 0.05 * rng.normal(size=minutes.size)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
     rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]

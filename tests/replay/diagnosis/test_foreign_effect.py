@@ -51,12 +51,12 @@ def stillcal(environment: dict[str, str], *words: object) -> subprocess.Complete
     return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
 
 
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    """Fourteen rests of two minutes at 20 Hz, the phone turned in hand between them."""
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten rests of two minutes at 20 Hz, the phone turned in hand between them."""
     rng, rate_hz = np.random.default_rng(8), 20.0
     turned = []
-    for _ in range(14):
+    for _ in range(10):
         turned.append(np.zeros((int(120 * rate_hz), 3)))
         s = np.arange(int(3 * rate_hz)) / (3 * rate_hz)
         axis = rng.normal(size=3)
@@ -73,7 +73,7 @@ def recording(tmp_path: Path) -> Path:
     swing = np.outer(np.sin(2.0 * np.pi * t / 600.0), [SWING, 0.0, -SWING])
     middle = (rate + np.vstack([rate[:1], rate[:-1]])) / 2.0
     read = middle + swing + rng.normal(size=rate.shape) * 0.001
-    path = tmp_path / "room.csv"
+    path = tmp_path_factory.mktemp("room") / "room.csv"
     rows = np.column_stack([t, force, read])
     np.savetxt(path, rows, delimiter=",", fmt="%.7g", header="t,ax,ay,az,gx,gy,gz", comments="")
     return path
