@@ -53,27 +53,40 @@ def correct(
     discrepancies: Sequence[Discrepancy],
     biases: Mapping[str, Array],
     seed: int = 0,
+    span: tuple[float, float] | None = None,
 ) -> Corrected:
     """Return the simulation's recording with every difference added that samples can take.
 
     biases: by sensor, (3,) m/s^2 or rad/s, the simulation's own, which a scale does not act on; a sensor that
     is not in it is taken to have none. seed: of the noise that is added where the simulation has too little.
+    span: s, first and last stamp of the recording, None where they are the simulation's: what lasts for a
+    part of it lasts for the same part of the simulation.
     """
+    of_simulation = _span(simulation.accelerometer)
+    discrepancies = [_on_clock(d, span or of_simulation, of_simulation) for d in discrepancies]
     corrected = _with_added(simulation, discrepancies, biases, seed)
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    slow = [d for d in discrepancies if not _moves(d)]
+    slow = [d for d in discrepancies if not _moves(d) and not _is_new_line(d)]
     changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
-    power = {d.sensor: _missing(d) / 2.0 for d in white if (_missing(d) >= 0.0).all()}
     known = simulation.overview
+    power = {s: np.zeros((len(known), 3)) for s in ("accel", "gyro")}
+    for one in white:
+        samples = simulation.accelerometer if one.sensor == "accel" else simulation.gyroscope
+        if samples is not None and (_missing(one) >= 0.0).all():
+            power[one.sensor] += _missing(one) / 2.0 * _rate(samples)
+    for one in filter(_is_new_line, discrepancies):
+        assert one.recorded is not None, "only such lines are new"
+        there = _there(known.force.t, one.recorded)
+        power[one.sensor] += np.outer(there, np.square(one.recorded.parameters["amplitude"].value) / 2.0)
     overview = replace(
         known,
-        force=_windows(known.force, changed.accelerometer, simulation.accelerometer, power.get("accel")),
+        force=_windows(known.force, changed.accelerometer, power["accel"]),
         rate=None
-        if known.rate is None or changed.gyroscope is None or simulation.gyroscope is None
-        else _windows(known.rate, changed.gyroscope, simulation.gyroscope, power.get("gyro")),
+        if known.rate is None or changed.gyroscope is None
+        else _windows(known.rate, changed.gyroscope, power["gyro"]),
     )
     held = corrected.recording
     assert isinstance(held, LongRecording), "made of one"
@@ -93,16 +106,15 @@ def _seconds(simulation: LongRecording, overview: Overview) -> Recording:
     return replace(simulation, accelerometer=accel, gyroscope=gyro)
 
 
-def _windows(windows: Windows, changed: Samples, samples: Samples, power: Array | None) -> Windows:
-    """Return windows with other means. samples: of the recording; power: (3,) of white noise added, None."""
+def _windows(windows: Windows, changed: Samples, power: Array) -> Windows:
+    """Return windows with other means. power: (n, 3) of what is added within a second."""
     added = changed.xyz - windows.mean
-    more = 0.0 if power is None else np.maximum(power, 0.0) * _rate(samples)
     return replace(
         windows,
         mean=changed.xyz,
-        variance=windows.variance + more,
+        variance=windows.variance + power,
         calm_mean=windows.calm_mean + added,
-        calm_variance=windows.calm_variance + more,
+        calm_variance=windows.calm_variance + power,
     )
 
 
@@ -166,7 +178,7 @@ def _added(
     rng: np.random.Generator,
 ) -> Array | None:
     """Return what a difference adds to the samples, (n, 3); None where it cannot be added."""
-    if one.effect == LINE and one.relation == "lacking" and one.recorded is not None:
+    if _is_new_line(one) and one.recorded is not None:
         return _tone(samples, one.recorded)
     if one.difference is None:
         return None
@@ -239,10 +251,35 @@ def _rate(samples: Samples) -> float:
     return float(np.exp(counted_rate(samples).value[0]))
 
 
+def _is_new_line(one: Discrepancy) -> bool:
+    """Whether it is a vibration that only the recording has."""
+    return one.effect == LINE and one.relation == "lacking" and one.recorded is not None
+
+
 def _tone(samples: Samples, found: Finding) -> Array:
-    """Return a sine of the frequency and amplitudes found, all along, its axes in phase."""
+    """Return a sine of the frequency and amplitudes found, while it lasts, its axes in phase."""
     frequency, amplitude = (np.asarray(found.parameters[n].value) for n in ("frequency", "amplitude"))
-    return np.asarray(np.outer(np.sin(2.0 * np.pi * frequency * samples.t), amplitude))
+    wave = np.sin(2.0 * np.pi * frequency * samples.t) * _there(samples.t, found)
+    return np.asarray(np.outer(wave, amplitude))
+
+
+def _there(t: Array, found: Finding) -> Array:
+    """Return 1 at the moments t (n,), s, at which what was found lasts, 0 at others."""
+    return ((t >= found.where.t_start) & (t <= found.where.t_end)).astype(np.float64)
+
+
+def _span(samples: Samples) -> tuple[float, float]:
+    """Return first and last stamp, s."""
+    return float(samples.t[0]), float(samples.t[-1])
+
+
+def _on_clock(one: Discrepancy, own: tuple[float, float], other: tuple[float, float]) -> Discrepancy:
+    """Return a difference whose finding lasts for the same part of another recording's span, s."""
+    if one.recorded is None:
+        return one
+    where = one.recorded.where
+    start, end = np.interp([where.t_start, where.t_end], own, other)
+    return replace(one, recorded=replace(one.recorded, where=replace(where, t_start=start, t_end=end)))
 
 
 def _limit(one: Discrepancy) -> float | None:

@@ -54,7 +54,7 @@ def judge_examined(
     answer = answer_of(before, names, Fit.of(before, before), stated)
     if not before.discrepancies:
         return Judged(recording, recorded, simulated, before, None, None, answer)
-    made = _added(simulation, before) if again is None else again(before, answer)
+    made = _added(recording, simulation, before) if again is None else again(before, answer)
     measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
     if again is None:
         changed = {d.sensor for d in before.discrepancies if d.effect.endswith(ON_VALUES)}
@@ -64,14 +64,15 @@ def judge_examined(
     return Judged(recording, recorded, simulated, before, after, made.recording, answer)
 
 
-def _added(simulation: Recording, before: Comparison) -> Corrected:
+def _added(recording: Recording, simulation: Recording, before: Comparison) -> Corrected:
     """Return the simulation with the differences put in, its biases known as they were measured."""
     biases = {
         d.simulated.sensor: d.simulated.value
         for d in before.compared
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
-    return correct(simulation, before.discrepancies, biases)
+    span = (float(recording.accelerometer.t[0]), float(recording.accelerometer.t[-1]))
+    return correct(simulation, before.discrepancies, biases, span=span)
 
 
 def with_own_values(measured: Examination, simulated: Examination, changed: Collection[str]) -> Examination:

@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
     vector,
 )
-from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.noise.steady_segments import OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.rms import rms
@@ -59,7 +59,6 @@ STRAY_RANGE = float(np.log(1e6))
 TINY = 0.01
 """Argument below which the Bessel function is the first two terms of its series, to 1e-10 of itself."""
 
-AXES = 3
 BESIDE = 60
 """Frequencies on either side whose median power is the noise: of so many it is known to a tenth."""
 
@@ -161,7 +160,7 @@ def _pieces(seen: Stretches, rows: Index, frequency: float, parts: int) -> Piece
         value = seen.tapered[row, part] / np.where(there, taper, 1.0)[:, None]
         window = np.sin(np.pi * (np.arange(size) + 0.5) / size) * there.reshape(parts, size)
         turned = value * np.exp(-2j * np.pi * frequency * seen.t[row, part])[:, None]
-        read_there = (window[:, :, None] * turned.reshape(parts, size, AXES)).sum(axis=1)
+        read_there = (window[:, :, None] * turned.reshape(parts, size, len(AXES))).sum(axis=1)
         steps = np.round(seen.wider[row] * away).astype(np.int64)
         near = np.clip(np.concatenate([centre - steps, centre + steps]), 0, seen.f.size - 1)
         noise = np.median(seen.power[row, near], axis=0) / np.log(2.0) / (seen.taper[row] ** 2).sum()
@@ -288,10 +287,11 @@ def _unsteady(line: Finding, told: _Told) -> Finding:
         **sized({"fraction": (told.share, "1")}),
     }
     frequency = float(np.asarray(line.parameters["frequency"].value))
+    sizes = ", ".join(f"{axis} {told.amplitude[AXES.index(axis)]:.3g}" for axis in line.axes)
     say = (
         f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there"
         f" in {100.0 * told.share:.0f} % of the time at rest, with an amplitude of"
-        f" {told.amplitude.max():.3g} {UNIT[line.sensor]}."
+        f" {sizes} {UNIT[line.sensor]}."
     )
     where = Where(*told.span, line.where.band_hz, DRIVER)
     return replace(line, effect="unknown", where=where, parameters=parameters, statement=say)

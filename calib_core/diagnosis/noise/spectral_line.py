@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     of_fit,
     vector,
 )
-from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.noise.intermittent_line import named_if_steady
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
     INDEPENDENT,
@@ -72,7 +72,9 @@ MOST_REFINED = 60
 CLOCK = 2e-5
 STUDENT = 1.42
 """Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
-NAMED = 0.3
+SIGNIFICANT = 3.0
+"""Standard errors from which an axis has a line: by chance one in 700."""
+
 PACES = (0.6, 3.0)
 """Hz of hearts and steps."""
 CONTRAST = 5.0
@@ -300,27 +302,32 @@ def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding |
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
     amplitude = np.sqrt(np.maximum(power, 0.0))
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
-    axes = [
-        a for a in range(3) if amplitude[a] > NAMED * amplitude.max() and power[a] > 3.0 * spread[a] - 1e-30
-    ]
-    axes = axes or [int(np.argmax(amplitude))]
+    axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
     evidence = _seen(line, noise, seen.f.size)
     half = NORMAL_95 * error
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
         "amplitude": vector(amplitude, scatter, UNIT[sensor]),
     }
-    start, end = float(seen.span[rows[0], 0]), float(seen.span[rows[-1], 1])
+    start, end = _lasts(seen, rows)
     where = Where(start, end, (frequency - half, frequency + half), "time")
     rate = 2.0 * float(seen.f[-1])
-    always = (start, end) == (seen.span[0, 0], seen.span[-1, 1])
-    vibration = "Vibration" if always else f"From {start:.0f} to {end:.0f} s: vibration"
+    vibration = "Vibration" if (start, end) == seen.whole else f"From {start:.0f} to {end:.0f} s: vibration"
+    sizes = ", ".join(f"{AXES[a]} {amplitude[a]:.3g}" for a in axes)
     say = (
         f"{vibration} at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"
-        f" {amplitude.max():.3g} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
+        f" {sizes} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
         f" {rate + frequency:.1f} Hz)."
     )
     return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
+
+
+def _lasts(seen: Stretches, rows: Index) -> tuple[float, float]:
+    """Return when a line begins and ends, s: with the recording where no stretch is without it there."""
+    first, last = int(rows[0]), int(rows[-1])
+    start = seen.whole[0] if first == 0 else float(seen.span[first, 0])
+    end = seen.whole[1] if last == len(seen.span) - 1 else float(seen.span[last, 1])
+    return start, end
 
 
 def _seen(line: Array, noise: Array, frequencies: int) -> Seen:

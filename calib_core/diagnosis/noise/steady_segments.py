@@ -33,16 +33,17 @@ class Stretches:
     """Steady stretches, overlapping by half; a rest too short for the longest is one as long as it holds.
 
     t: (S, n) s, from each one's middle; taper: (S, n), half a sine of its own length, zeros after it and
-    where a sample is missing; tapered: (S, n, 3), no means, under it; length: (S,) places; span: (S, 2) s,
-    first and last; share: (S,), what of each the next does not hold; to_amplitude: (S,), what makes
-    amplitudes of sums of tapered values; f: (F,) Hz; free: (F,), where no known line is; power, ratio to that
-    of the free ones of its neighbours: (S, F, 3).
+    where a sample is missing; tapered: (S, n, 3), no means, under it; length: (S,) places; whole: s, first
+    and last of the recording, span: (S, 2), of each; share: (S,), what of each the next does not hold;
+    to_amplitude: (S,), what makes amplitudes of sums of tapered values; f: (F,) Hz; free: (F,), where no
+    known line is; power, ratio to that of the free ones of its neighbours: (S, F, 3).
     """
 
     t: Array
     taper: Array
     tapered: Array
     length: Index
+    whole: tuple[float, float]
     span: Array
     share: Array
     to_amplitude: Array
@@ -123,7 +124,10 @@ def stretches(
     share = np.minimum(np.append(np.diff(first), longest) / length, 1.0)
     free = np.ones(f.size, dtype=np.bool_)
     ratio = _ratios(power, longest / length, free)
-    return Stretches(t, taper, tapered, length, span, share, 2.0 / taper.sum(axis=1), f, free, power, ratio)
+    whole_span = float(places.t[0]), float(places.t[-1])
+    return Stretches(
+        t, taper, tapered, length, whole_span, span, share, 2.0 / taper.sum(axis=1), f, free, power, ratio
+    )
 
 
 def _steady(xyz: Array, second: int, longest: int, shortest: int, most: float) -> tuple[Index, Index]:

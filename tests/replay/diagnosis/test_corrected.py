@@ -10,7 +10,9 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, su
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.segments.static_bins import overview_of
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import correct, low_passed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
@@ -148,3 +150,35 @@ def test_a_low_pass_of_another_order_leaves_no_gain_behind() -> None:
     found = low_passed(behind, low_pass(6.0, 1), low_pass(15.0, 4)).xyz
     assert found[200:].mean() == pytest.approx(1.0, abs=1e-3)
     assert found[200:].std() < 0.01
+
+
+def hum(t_start: float, t_end: float) -> Discrepancy:
+    where = Where(t_start, t_end, (16.9, 17.1), "time")
+    parameters = {
+        "frequency": Parameter(17.0, None, "Hz"),
+        "amplitude": Parameter([0.01, 0.0, 0.02], None, "m/s^2"),
+    }
+    found = Finding("vibration_tone", "accel", ["z"], where, parameters, Evidence(9.0), [], "")
+    return Discrepancy("vibration_tone", "accel", ["z"], where, "lacking", 1.0, 9.0, recorded=found)
+
+
+def test_a_vibration_for_a_while_is_in_the_same_part_of_the_simulation() -> None:
+    t = 1000.0 + np.arange(5000) / 50.0
+    simulation = Recording(Samples(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3))), None, [], Claims(), [])
+    done = correct(simulation, [hum(50.0, 80.0)], {}, span=(0.0, 100.0))
+    there = (t >= 1050.0) & (t <= 1080.0)
+    out = done.recording.accelerometer.xyz
+    assert np.abs(out[~there]).max() == 0.0
+    assert np.std(out[there], axis=0) == pytest.approx(np.array([0.01, 0.0, 0.02]) / np.sqrt(2.0), rel=0.01)
+
+
+def test_a_vibration_leaves_the_means_of_a_long_simulation_and_adds_to_their_variance() -> None:
+    t = np.arange(5000) / 50.0
+    still = Samples(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))
+    seconds = overview_of(still, None)
+    simulation = LongRecording(still, None, [], Claims(), [], overview=seconds)
+    done = correct(simulation, [hum(30.0, 60.0)], {}).recording
+    assert isinstance(done, LongRecording) and done.overview is not None
+    force, there = done.overview.force, (seconds.force.t > 30.0) & (seconds.force.t < 60.0)
+    np.testing.assert_array_equal(force.mean, seconds.force.mean)
+    np.testing.assert_allclose(force.variance[:, 2], 0.5 * 0.02**2 * there)

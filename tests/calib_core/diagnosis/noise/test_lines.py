@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -147,3 +148,20 @@ def test_a_line_that_both_sensors_feel_is_the_forces_alone() -> None:
         for s in ("accel", "gyro")
     }
     assert by_sensor == {"accel": [17.3, 31.7], "gyro": [12.4, 40.1]}
+
+
+def test_every_axis_that_has_the_line_is_told_however_weak_beside_the_others() -> None:
+    samples = lying(humming({17.3: 0.1}))
+    xyz = samples.xyz.copy()
+    xyz[:, 1] += humming({17.3: 0.01})
+    (found,) = tones(Samples(samples.sensor, T, frozen(xyz)), "accel")
+    assert found.axes == ["y", "z"]
+    assert re.search(r"amplitude y 0\.0\d+, z 0\.\d+ m/s\^2", found.statement)
+
+
+def test_a_line_that_is_always_there_lasts_as_long_as_the_recording() -> None:
+    samples = lying(humming({17.3: 0.02}))
+    xyz = samples.xyz.copy()
+    xyz[:3000, 0] += 5.0 * np.sin(2.0 * np.pi * 0.3 * T[:3000])  # moved at first
+    (found,) = tones(Samples(samples.sensor, T, frozen(xyz)), "accel")
+    assert (found.where.t_start, found.where.t_end) == (T[0], T[-1])
