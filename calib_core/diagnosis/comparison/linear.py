@@ -33,6 +33,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
 
 RATE_BIAS_SIZE = 0.05
 """Prior size of a gyroscope's bias, rad/s: 3 deg/s, three times the zero-rate offset of consumer parts."""
@@ -231,12 +232,19 @@ def _at_reference(
 def _constant_quantities(
     exam: Examination, kind: str, value: Array, covariance: Array, reference_c: float | None
 ) -> list[Quantity]:
-    """Return bias and scale, or of turns the scale, as quantities of their own."""
+    """Return bias and scale, or of turns the scale, as quantities of their own.
+
+    A clock that runs fast by a part makes every turn too large by that part: the scale is that at the host's
+    time, where it is known.
+    """
     where = Where(*exam.bins.span, SLOW_BAND, "nothing")
     if kind == "turn":
         assert exam.aligned is not None, "turns come from an alignment"
         error = value[:9].reshape(3, 3)
-        value = (exam.aligned.mapping - error @ exam.aligned.mapping - np.eye(3)).ravel()
+        clock, one = rate_against_host(exam.gyroscope), np.eye(3)
+        scale = (exam.aligned.mapping - error @ exam.aligned.mapping) * (1.0 + clock.value)
+        value = (scale - one).ravel()
+        covariance = covariance[:9, :9] + clock.error**2 * np.outer(one, one)
     reference = {} if reference_c is None or kind == "turn" else {"temperature_c": reference_c}
     sensor = "gyro" if kind == "turn" else kind
     out, first = [], 0

@@ -74,6 +74,14 @@ def arrivals(samples: Samples) -> Array | None:
     return np.asarray(np.interp(samples.t, samples.t[known], samples.t_arrival[known]), dtype=np.float64)
 
 
+def rate_against_host(samples: Samples | None) -> Measured:
+    """Return device seconds per host second, less 1: surely nothing where the host's time is not recorded."""
+    arrived = arrivals(samples) if samples is not None and len(samples) >= LEAST_SAMPLES else None
+    if samples is None or arrived is None:
+        return Measured(0.0, 0.0)
+    return clock_rate(samples.t, arrived)[0]
+
+
 def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
     """Return device seconds per host second, less 1, from the quickest deliveries of `PIECES` pieces.
 

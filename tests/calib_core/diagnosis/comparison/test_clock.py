@@ -1,0 +1,42 @@
+"""A clock that runs fast, beside the gyroscope's scale, which turns tell by the stamps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.judged import examined
+from stillcal.replay.formats.trace import Recording
+from tests.support import report_days
+
+FAST = 3e-3
+
+
+def by_a_fast_clock(samples: Samples, *, arrives: bool) -> Samples:
+    """Return samples with stamps of a clock that is fast by `FAST`; arrives: whether the host's time is kept."""
+    late = np.random.default_rng(3).uniform(0.002, 0.006, len(samples))
+    arrival = samples.t + late if arrives else None
+    return replace(samples, t=samples.t * (1.0 + FAST), t_arrival=arrival)
+
+
+def gyro_scale(recording: Recording) -> Array:
+    """Return the scale and misalignment (3, 3) that a comparison would state."""
+    found = linear_quantities(examined(recording, search=False), [], {})
+    return found["gyro_scale", "gyro"].value.reshape(3, 3)
+
+
+def test_the_scale_of_the_gyroscope_is_that_at_the_hosts_time() -> None:
+    recording = report_days.recorded(report_days.phone_with(), 5, part_s=240.0)
+    assert recording.gyroscope is not None
+    true = gyro_scale(recording)
+    for arrives, off in ((True, 0.0), (False, FAST)):
+        accelerometer, gyroscope = (
+            by_a_fast_clock(s, arrives=arrives) for s in (recording.accelerometer, recording.gyroscope)
+        )
+        stretched = replace(recording, accelerometer=accelerometer, gyroscope=gyroscope)
+        assert true.diagonal() - gyro_scale(stretched).diagonal() == pytest.approx(off, abs=FAST / 5.0)
