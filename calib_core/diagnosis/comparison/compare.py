@@ -7,9 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison import noise, not_logged
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.linear import (
+    SHIFTED,
     Wanted,
     kind_of,
     linear_quantities,
@@ -134,27 +136,40 @@ def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
 def crossing_temperatures(
     sides: Sequence[Mapping[Key, Quantity]], reference: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return, by sensor, the degC at which the biases of both agree best, where their slopes differ.
+    """Return, by sensor, the degC at which the constants of both agree best, where their slopes differ.
 
-    A slope that is missing has a temperature at which it adds nothing. At any other one the bias would seem
-    to differ too. It is the least squares crossing of the two lines of bias, with a prior about the mean.
-    Biases that meet beyond `FARTHEST` standard deviations of it differ anyway, and are stated at the mean.
+    A slope that is missing has a temperature at which it adds nothing. At any other one the bias (or scale)
+    would seem to differ too. It is the least squares crossing of the lines of both, with a prior about the
+    mean. Lines that meet beyond `FARTHEST` standard deviations of it differ anyway, and the mean is kept.
     """
     out = {}
     for sensor, mean in reference.items():
-        keys = ((f"{sensor}_bias_temperature", sensor), (f"{sensor}_bias", sensor))
-        if not all(key in side for key in keys for side in sides):
-            continue
-        slope, bias = (subtract(sides[0][key], sides[1][key]) for key in keys)
-        line = slope.value[:3]
-        if posterior(slope.log_bayes_factor, len(sides[0])) < CERTAIN:
-            continue
-        weight = np.linalg.inv(bias.covariance + np.diag(bias.recorded.tolerance**2))
-        pull = float(line @ weight @ bias.value)
-        away = -pull / (float(line @ weight @ line) + CROSSING_SPREAD_K**-2.0)
-        if abs(away) <= FARTHEST * CROSSING_SPREAD_K:
-            out[sensor] = mean + away
+        lines = [line for effect in SHIFTED if (line := _line(sides, effect, sensor)) is not None]
+        pull = sum(float(slope @ weight @ away) for slope, weight, away in lines)
+        steep = sum(float(slope @ weight @ slope) for slope, weight, _ in lines)
+        warmer = -pull / (steep + CROSSING_SPREAD_K**-2.0)
+        if lines and abs(warmer) <= FARTHEST * CROSSING_SPREAD_K:
+            out[sensor] = mean + warmer
     return out
+
+
+def _line(
+    sides: Sequence[Mapping[Key, Quantity]], effect: str, sensor: str
+) -> tuple[Array, Array, Array] | None:
+    """Return how two recordings' constants differ by temperature: None where an effect's slopes do not.
+
+    That is the change by axis (3,) for each K, and of the difference at the reference its inverse covariance
+    (3, 3) and its size (3,).
+    """
+    first, sign = SHIFTED[effect]
+    keys = ((effect, sensor), (f"{sensor}_{'scale' if first else 'bias'}", sensor))
+    if not all(key in side for key in keys for side in sides):
+        return None
+    slope, constant = (subtract(sides[0][key], sides[1][key]) for key in keys)
+    if posterior(slope.log_bayes_factor, len(sides[0])) < CERTAIN:
+        return None
+    spread = constant.covariance[:3, :3] + np.diag(constant.recorded.tolerance[:3] ** 2)
+    return sign * slope.value[:3], np.asarray(np.linalg.inv(spread)), constant.value[:3]
 
 
 def _mean_temperature(recorded: Bins, simulated: Bins) -> dict[str, float]:

@@ -18,7 +18,7 @@ FAST = 3e-3
 
 
 def by_a_fast_clock(samples: Samples, *, arrives: bool) -> Samples:
-    """Return samples with stamps of a clock that is fast by `FAST`; arrives: whether the host's time is kept."""
+    """Return samples stamped by a clock that is fast by `FAST`. arrives: whether the host's time is kept."""
     late = np.random.default_rng(3).uniform(0.002, 0.006, len(samples))
     arrival = samples.t + late if arrives else None
     return replace(samples, t=samples.t * (1.0 + FAST), t_arrival=arrival)

@@ -1,4 +1,4 @@
-"""The temperature at which biases are compared where the slopes of two recordings differ."""
+"""The temperature at which constants are compared where the slopes of two recordings differ."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 SLOPE = np.array([2e-3, -1e-3, 1e-3])
 
 
-def side(bias: Array, slope: Array) -> dict[tuple[str, str], Quantity]:
-    """Return an accelerometer's bias, m/s^2, at 24 degC and its slope, m/s^2/K."""
+def side(constant: Array, slope: Array, of: str = "bias") -> dict[tuple[str, str], Quantity]:
+    """Return an accelerometer's bias or scale at 24 degC and its slope, in m/s^2 or parts, and each by K."""
 
     def quantity(name: str, value: Array, error: float, size: float) -> Quantity:
         part = (Part(name, "m/s^2", 3),)
         each = (np.full(3, size), np.full(3, 1e-9), np.arange(3))
-        return Quantity(f"accel_bias{name}", "accel", part, value, error**2 * np.eye(3), *each)
+        return Quantity(f"accel_{of}{name}", "accel", part, value, error**2 * np.eye(3), *each)
 
-    parts = (quantity("", bias, 1e-3, 0.5), quantity("_temperature", slope, 2e-5, 0.02))
+    parts = (quantity("", constant, 1e-3, 0.5), quantity("_temperature", slope, 2e-5, 0.02))
     return {(q.effect, "accel"): q for q in parts}
 
 
@@ -32,3 +32,9 @@ def test_biases_are_compared_where_they_meet_if_a_phone_is_ever_as_warm(
     sides = [side(np.zeros(3), SLOPE), side(SLOPE * warmer, np.zeros(3))]
     found = crossing_temperatures(sides, {"accel": 24.0})
     assert found == ({} if at is None else {"accel": pytest.approx(at, abs=0.5)})
+
+
+def test_scales_are_compared_where_they_meet() -> None:
+    """The scale is that of the correction: it falls by as much as the sensor's gain grows."""
+    sides = [side(-SLOPE * 8.0, SLOPE, "scale"), side(np.zeros(3), np.zeros(3), "scale")]
+    assert crossing_temperatures(sides, {"accel": 24.0}) == {"accel": pytest.approx(16.0, abs=0.5)}
