@@ -62,13 +62,13 @@ def correct(
     span: s, first and last stamp of the recording, None where they are the simulation's: what lasts for a
     part of it lasts for the same part of the simulation.
     """
-    of_simulation = _span(simulation.accelerometer)
+    of_simulation = span_of(simulation.accelerometer)
     discrepancies = [_on_clock(d, span or of_simulation, of_simulation) for d in discrepancies]
     corrected = _with_added(simulation, discrepancies, biases, seed)
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    slow = [d for d in discrepancies if not _moves(d) and not _is_new_line(d)]
+    slow = [d for d in discrepancies if not _moves(d) and _new_line(d) is None]
     changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     known = simulation.overview
@@ -77,10 +77,9 @@ def correct(
         samples = simulation.accelerometer if one.sensor == "accel" else simulation.gyroscope
         if samples is not None and (_missing(one) >= 0.0).all():
             power[one.sensor] += _missing(one) / 2.0 * _rate(samples)
-    for one in filter(_is_new_line, discrepancies):
-        assert one.recorded is not None, "only such lines are new"
-        there = _there(known.force.t, one.recorded)
-        power[one.sensor] += np.outer(there, np.square(one.recorded.parameters["amplitude"].value) / 2.0)
+    for line in filter(None, map(_new_line, discrepancies)):
+        there = _there(known.force.t, line)
+        power[line.sensor] += np.outer(there, np.square(line.parameters["amplitude"].value) / 2.0)
     overview = replace(
         known,
         force=_windows(known.force, changed.accelerometer, power["accel"]),
@@ -178,8 +177,8 @@ def _added(
     rng: np.random.Generator,
 ) -> Array | None:
     """Return what a difference adds to the samples, (n, 3); None where it cannot be added."""
-    if _is_new_line(one) and one.recorded is not None:
-        return _tone(samples, one.recorded)
+    if (line := _new_line(one)) is not None:
+        return _tone(samples, line)
     if one.difference is None:
         return None
     if one.effect in OF_DENSITY:
@@ -251,9 +250,9 @@ def _rate(samples: Samples) -> float:
     return float(np.exp(counted_rate(samples).value[0]))
 
 
-def _is_new_line(one: Discrepancy) -> bool:
-    """Whether it is a vibration that only the recording has."""
-    return one.effect == LINE and one.relation == "lacking" and one.recorded is not None
+def _new_line(one: Discrepancy) -> Finding | None:
+    """Return the vibration of a difference that only the recording has; None of any other difference."""
+    return one.recorded if one.effect == LINE and one.relation == "lacking" else None
 
 
 def _tone(samples: Samples, found: Finding) -> Array:
@@ -268,7 +267,7 @@ def _there(t: Array, found: Finding) -> Array:
     return ((t >= found.where.t_start) & (t <= found.where.t_end)).astype(np.float64)
 
 
-def _span(samples: Samples) -> tuple[float, float]:
+def span_of(samples: Samples) -> tuple[float, float]:
     """Return first and last stamp, s."""
     return float(samples.t[0]), float(samples.t[-1])
 

@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
-from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct
+from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, silent
 from stillcal.replay.formats.trace import Recording
 
@@ -71,8 +71,7 @@ def _added(recording: Recording, simulation: Recording, before: Comparison) -> C
         for d in before.compared
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
-    span = (float(recording.accelerometer.t[0]), float(recording.accelerometer.t[-1]))
-    return correct(simulation, before.discrepancies, biases, span=span)
+    return correct(simulation, before.discrepancies, biases, span=span_of(recording.accelerometer))
 
 
 def with_own_values(measured: Examination, simulated: Examination, changed: Collection[str]) -> Examination:

@@ -75,14 +75,14 @@ def find(where: str, format: str = AUTO) -> Listing:
     seen = [p for p in there if not p.name.startswith(".") and not p.name.endswith(RESULTS)]
     taken = [p for p in seen if (wild and p.is_file()) or _is_recording(p)]
     pairs = {p: other for p in taken if (other := _other(p, rules)) is not None}
-    first = [p for p in taken if p not in set(pairs.values())]
-    recordings = [_found_recording(p, root, pairs.get(p)) for p in first]
+    seconds = set(pairs.values())
+    recordings = [_found_recording(p, root, pairs.get(p)) for p in taken if p not in seconds]
     if not recordings:
         there_is = "no recording below" if root.exists() else "no file or folder"
         what = "no file matches" if wild else there_is
         raise NoRecordingsError(f"{what} {where}; name a folder of recordings or a pattern in quotes")
-    belonging = {file for recording in recordings for file in recording.files}
-    others = [p for p in seen if p not in taken and p not in belonging and p.is_file()]
+    read = {*taken, *(file for recording in recordings for file in recording.files)}
+    others = [p for p in seen if p not in read and p.is_file()]
     return Listing(recordings, [_inside(p, root) for p in others])
 
 
