@@ -88,6 +88,7 @@ class PhoneSession:
         self._celsius: float | None = None
         self._in_step = False
         self._heard_at = self._fed_at = self._clock()
+        self._silent = False
         self.hello: Hello | None = None
         self.refused = 0
 
@@ -123,7 +124,7 @@ class PhoneSession:
         except TimeoutError:
             self._on_timeout()
             return []
-        self._heard_at = self._clock()
+        self._heard_at, self._silent = self._clock(), False
         return records or None
 
     @property
@@ -157,15 +158,22 @@ class PhoneSession:
         if self._commands.asleep(clock.newest) and now is not None:
             self._items.append(Tick(min(now, max(self._engine_thread.view.decides, clock.newest))))
         elif host - self._heard_at >= SILENCE_S:
-            say(
-                "warning",
-                "silent",
-                f"no data for {SILENCE_S:.0f} s: asking the phone to identify itself",
-                device=self.source.device,
-            )
+            self._say_silent()
             self._heard_at = host
             self._commands.forget()
             self.source.send(Identify())
+
+    def _say_silent(self) -> None:
+        """Log a silence once: a board that never speaks must not fill the log."""
+        if not self._silent:
+            say(
+                "warning",
+                "silent",
+                f"no data for {SILENCE_S:.0f} s: asking the phone to identify itself until it does; "
+                "check its program and the baud rate",
+                device=self.source.device,
+            )
+        self._silent = True
 
     # Records
 
@@ -186,7 +194,13 @@ class PhoneSession:
             self._on_link(record)
 
     def _queue(self, record: Samples | Event) -> None:
-        item = self._saved.clock.mapped(record, self._clock())
+        clock = self._saved.clock
+        restarts, leaps = clock.restarts, clock.leaps
+        item = clock.mapped(record, self._clock())
+        if clock.restarts > restarts:
+            self._clock_jumped("restarted", "the phone restarted")
+        elif clock.leaps > leaps:
+            self._clock_jumped("leap", "the phone's time stamps leapt ahead")
         if isinstance(item, Samples):
             self._saved.energy.samples(float(item.t[-1]), len(item))
             item = self._with_temperature(item)
@@ -194,6 +208,12 @@ class PhoneSession:
         if item is not None:
             self._items.append(item)
             self._recorders.notify(item)
+
+    def _clock_jumped(self, what: str, reason: str) -> None:
+        """Tell log and listeners that the phone's time stamps do not continue."""
+        self._interrupt_live(reason)
+        session = None if self.hello is None else self.hello.session
+        say("warning", what, f"{reason}; its new time stamps continue from the old ones", session=session)
 
     def _send_live(self) -> None:
         fresh, self._fresh = self._fresh, []
@@ -229,13 +249,6 @@ class PhoneSession:
         self._commands.forget()
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
-            self._interrupt_live("the phone restarted")
-            say(
-                "warning",
-                "restarted",
-                "the phone restarted; its new time stamps continue from the old ones",
-                session=hello.session,
-            )
         say(
             "info",
             "phone",

@@ -17,10 +17,11 @@ from stillcal.calib_core.static.settings import Sleep
 from stillcal.calib_core.streams.events import Charging, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.engine_thread import EngineThread
+from stillcal.daemon.service.live_stream import Interruption
 from stillcal.daemon.service.phone_session import GATHER_S, LATE_S, SILENCE_S, PhoneSession
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import SerialSettings, Source
-from stillcal.daemon.wire.messages import Command, Identify
+from stillcal.daemon.wire.messages import Command, Hello, Identify
 from stillcal.daemon.wire.reassembly import WireCounters
 from tests.support.clock import ManualClock
 
@@ -95,6 +96,56 @@ def test_a_phone_is_asked_again_after_ten_seconds_of_silence(silent_s: float, as
         assert phone.sent == asked
         session._on_timeout()  # not a second time at once
         assert phone.sent == asked
+
+    with_session(test)
+
+
+def test_a_silence_is_logged_once_and_the_next_one_again(caplog: pytest.LogCaptureFixture) -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        def logged_silences(times: int) -> int:
+            caplog.clear()
+            for _ in range(times):
+                clock.now += SILENCE_S
+                session._on_timeout()
+            return caplog.text.count("silent: no data")
+
+        assert logged_silences(3) == 1 and phone.sent == [Identify()] * 3
+        phone._emit(SAMPLES[0])
+        await session._receive()
+        assert logged_silences(3) == 1
+
+    with_session(test)
+
+
+@pytest.mark.parametrize(
+    ("t", "what", "reason"),
+    [
+        (0.5, None, None),  # a little out of order
+        (-5.0, "restarted: ", "the phone restarted"),
+        (1e9, "leap: ", "the phone's time stamps leapt ahead"),
+    ],
+)
+def test_stamps_that_do_not_continue_are_logged_and_interrupt_the_live_samples(
+    t: float, what: str | None, reason: str | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        listener, _ = session._live.subscribe(0.0)
+        await session._on_record(Samples.checked(Sensor.ACCELEROMETER, [t, t + 1.0], np.zeros((2, 3))))
+        session._send_live()
+        heard = [listener.queue.get_nowait() for _ in range(listener.queue.qsize())]
+        assert [live.reason for live in heard if isinstance(live, Interruption)] == [reason] * bool(reason)
+        assert [record.getMessage().startswith(str(what)) for record in caplog.records] == [True] * bool(what)
+
+    with_session(test)
+
+
+def test_a_session_that_is_another_is_logged_once(caplog: pytest.LogCaptureFixture) -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        for number in (1, 2):
+            await session._on_record(Hello(session=number))
+            await session._on_record(SAMPLES[0])
+        (restarted,) = (r.getMessage() for r in caplog.records if r.getMessage().startswith("restarted"))
+        assert "session=2" in restarted
 
     with_session(test)
 
