@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from stillcal.calib_core.static.rest import RestState
+from stillcal.daemon.cli.options import FiniteRange
 from stillcal.replay.formats.daemon_state import is_daemon_state, kept_rests
 from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.rest_table import read_rest_table
@@ -77,13 +78,13 @@ def reading_options(what: str = "TRACE", prefix: str = "") -> Callable[[Command]
         click.option(
             f"--{dash}from",
             f"{under}start",
-            type=click.FloatRange(0),
+            type=FiniteRange(0),
             help=f"Leave out what is earlier, s after the start.{ours}",
         ),
         click.option(
             f"--{dash}to",
             f"{under}stop",
-            type=click.FloatRange(0),
+            type=FiniteRange(0),
             help=f"Leave out what is later, s after the start.{ours}",
         ),
     )

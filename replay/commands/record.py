@@ -13,7 +13,7 @@ import click
 
 from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import quiet_option, socket_option
+from stillcal.daemon.cli.options import FiniteRange, quiet_option, socket_option
 from stillcal.daemon.cli.query import NoDaemonError, replies
 from stillcal.daemon.system.files import RESERVE_BYTES
 from stillcal.daemon.varlink.address import NAME, answering_path
@@ -35,10 +35,10 @@ CHECK_EVERY = 50
     ),
 )
 @click.argument("out", type=click.Path(path_type=Path))
-@click.option("--hours", type=click.FloatRange(min=0, min_open=True), help="Stop after so many hours.")
+@click.option("--hours", type=FiniteRange(0, 1_000_000, min_open=True), help="Stop after so many hours.")
 @click.option(
     "--rotate",
-    type=click.FloatRange(0.01, 1000),
+    type=FiniteRange(0.01, 1000),
     default=24.0,
     show_default=True,
     help="Begin another file after so many hours: NAME.2.csv, NAME.3.csv, ...",

@@ -14,7 +14,7 @@ import click
 import msgspec
 
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import quiet_option
+from stillcal.daemon.cli.options import FiniteRange, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.document import pretty
 from stillcal.daemon.system.requirements import PSEUDO_TERMINAL, require
@@ -49,7 +49,7 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
 )
 @click.option(
     "--speed",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteRange(0, min_open=True),
     help="With --serial: simulated seconds per second [default: as fast as it is read].",
 )
 @click.option(

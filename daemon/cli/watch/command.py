@@ -15,7 +15,7 @@ from rich.live import Live
 
 from stillcal.daemon.cli.exits import NO_DAEMON
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import socket_option
+from stillcal.daemon.cli.options import FiniteRange, socket_option
 from stillcal.daemon.cli.watch.frame import frame
 from stillcal.daemon.cli.watch.snapshot import Snapshot, snapshot
 from stillcal.daemon.cli.watch.sphere import ASCII, Glyphs
@@ -38,7 +38,7 @@ PICTURE_WIDTH = 122
     "--every",
     default=1.0,
     show_default=True,
-    type=click.FloatRange(0.1, 3600),
+    type=FiniteRange(0.1, 3600),
     help="Seconds between two frames.",
 )
 def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None:
