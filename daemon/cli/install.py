@@ -39,6 +39,9 @@ DEFAULT_PORT = "/dev/ttyACM0"
 UNREACHABLE = {"ProtectHome": ("/home", "/root", "/run/user"), "PrivateTmp": ("/tmp", "/var/tmp")}
 """Settings of the unit, and the folders that they hide from the service."""
 
+UNRUNNABLE = re.compile(r"[\x00-\x1f\x7f\"'\\\ud800-\udfff]")
+"""What systemd refuses in the path of a command, also within quotes; the last are bytes that are no UTF-8."""
+
 SETTINGS = Path("etc/stillcal/stillcal.toml")
 
 
@@ -70,6 +73,7 @@ def install_command(port: str | None, iio: bool, socket_group: str, root: Path, 
     """
     if iio and port is not None:
         raise click.UsageError("--iio reads this machine's own sensors: leave out --port")
+    _refuse_odd_names(port)
     if not only_print:
         for path in (_command(), port or DEFAULT_PORT):
             _warn_unreachable(path)
@@ -103,6 +107,17 @@ def files(port: str, iio: bool = False, socket_group: str = "dialout") -> Iterat
     )
 
 
+def _refuse_odd_names(port: str | None) -> None:
+    """Raise UsageError where systemd would not run this command, or no settings file can hold the port."""
+    if UNRUNNABLE.search(_command()):
+        raise click.UsageError(
+            f"{_command()!a}: systemd runs no command whose path has a quote, a backslash, "
+            "a control character or bytes that are no UTF-8: install stillcal in a folder without them"
+        )
+    if re.search(r"[\ud800-\udfff]", port or ""):
+        raise click.UsageError(f"--port {port!a}: is no UTF-8 text: give another name")
+
+
 def _check_group(name: str, there: bool) -> None:
     """Refuse a name that no group can have, or (there) that no group of this system has."""
     if not re.fullmatch(r"[A-Za-z_][\w.-]*\$?", name):
@@ -120,9 +135,9 @@ def _toml(text: str) -> str:
 
 
 def _unit_word(text: str) -> str:
-    """Return a text as one word of a unit's command line (systemd.syntax(7), systemd.unit(5))."""
-    escaped = text.replace("%", "%%").replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"' if any(c.isspace() or c in "\"'\\" for c in text) else escaped
+    """Return a path without UNRUNNABLE as one word of a unit's command line (systemd.unit(5))."""
+    escaped = text.replace("%", "%%")
+    return f'"{escaped}"' if any(c.isspace() for c in text) else escaped
 
 
 def _warn_unreachable(path: str) -> None:

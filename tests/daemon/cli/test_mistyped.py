@@ -272,12 +272,16 @@ def test_any_port_stands_in_the_settings_as_it_was_given(port: str) -> None:
 
 
 def test_a_command_in_an_odd_folder_is_one_word_of_the_unit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ['/opt/still cal "50%"/bin/stillcal'])
+    monkeypatch.setattr(sys, "argv", ["/opt/still cal 50%/bin/stillcal"])
     (_, unit), *_ = files("/dev/ttyACM0")
     (line,) = (line for line in unit.splitlines() if line.startswith("ExecStart="))
-    assert (
-        line == 'ExecStart="/opt/still cal \\"50%%\\"/bin/stillcal" run --config /etc/stillcal/stillcal.toml'
-    )
+    assert line == 'ExecStart="/opt/still cal 50%%/bin/stillcal" run --config /etc/stillcal/stillcal.toml'
+
+
+def test_a_port_that_is_no_text_is_refused(tmp_path: Path) -> None:
+    result = CliRunner().invoke(install_command, ["--root", str(tmp_path), "--port", "/dev/\udcff"])
+    assert result.exit_code == 2 and "is no UTF-8 text" in result.output
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_machines_own_sensors_can_be_installed() -> None:

@@ -13,6 +13,9 @@ from typing import Any
 
 import pytest
 import varlink
+from click.testing import CliRunner
+
+from stillcal.daemon.cli.install import install_command
 
 STILLCAL = Path(sys.executable).with_name("stillcal")
 
@@ -63,6 +66,27 @@ def test_systemd_has_nothing_to_say_against_the_units(installed: Path) -> None:
     units = sorted((installed / "etc/systemd/system").iterdir())
     found = run(need("systemd-analyze"), "verify", "--man=no", *units)
     assert (found.returncode, found.stdout, found.stderr) == (0, "", "")
+
+
+ODD = [" ", "%h", "$HOME", ";", "ü", "'", '"', "\\", "\t", "\n", "\x7f", "\udcff"]
+
+
+@pytest.mark.parametrize("odd", ODD, ids=ascii)
+def test_a_folder_that_systemd_cannot_run_from_is_refused_and_no_other(
+    odd: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = tmp_path / f"a{odd}b" / "stillcal"
+    command.parent.mkdir()
+    command.symlink_to("/bin/true")
+    monkeypatch.setattr(sys, "argv", [str(command)])
+    result = CliRunner().invoke(install_command, ["--root", str(tmp_path / "root")])
+    if result.exit_code == 0:
+        units = [tmp_path / "root/etc/systemd/system" / f"stillcal.{kind}" for kind in ("service", "socket")]
+        found = run(need("systemd-analyze"), "verify", "--man=no", *units)
+        assert (found.returncode, found.stderr) == (0, "")
+    else:
+        assert result.exit_code == 2 and "install stillcal in a folder without them" in result.output
+        assert odd in ODD[5:] and not (tmp_path / "root").exists()
 
 
 def test_a_handheld_may_write_its_own_sensors_files_and_systemd_agrees(tmp_path: Path) -> None:
