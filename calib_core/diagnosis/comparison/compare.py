@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.comparison.looked_for import (
     uninformed,
     why_not_logged,
 )
+from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differences_of_samples, in_neither
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     CERTAIN,
@@ -37,7 +38,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
-from stillcal.calib_core.diagnosis.comparison.stated import concluded, differs, key_of, told
+from stillcal.calib_core.diagnosis.comparison.stated import concluded, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -55,10 +56,58 @@ GYROSCOPE_ONLY = ("gyro_bias", "gyro_scale", "gyro_slow_noise")
 
 def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
     """Compare a recording with a simulation. names: of both, for the reasons given."""
-    had = (wanted_of(recorded), wanted_of(simulated))
-    wanted, exams = _union(*had), (recorded, simulated)
-    unlogged = not_logged.not_logged(exams, had, names)
-    reference = _mean_temperature(recorded.bins, simulated.bins)
+    exams, had = (recorded, simulated), (wanted_of(recorded), wanted_of(simulated))
+    wanted, unlogged = _union(*had), not_logged.not_logged(exams, had, names)
+    pairs, missing = _paired(exams, wanted, unlogged, names)
+    looked = [_looked_for(exam) for exam in exams]
+    reasons = [one.reasons for one in looked]
+    direct, alone, unseen = differences_of_samples(exams, reasons, names, unlogged)
+    count = len(pairs) + len(direct) + len(alone)
+    pairs, hidden = not_logged.without_hidden(weighed([*pairs, *direct], max(count, 1)), unlogged)
+    missing += [*hidden, *unseen]
+    neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
+    count -= len(hidden)
+    smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
+    smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
+    whole = concluded(
+        pairs,
+        alone,
+        [*missing, *not_both],
+        names,
+        among=count,
+        checks=count + len(neither),
+        had={(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted},
+    )
+    return replace(whole, smallest=smallest)
+
+
+def _paired(
+    exams: tuple[Examination, Examination],
+    wanted: Sequence[Wanted],
+    unlogged: Sequence[Sequence[NotLogged]],
+    names: tuple[str, str],
+) -> tuple[list[Difference], list[NotCompared]]:
+    """Return the differences of the quantities that both show, and why others cannot be compared."""
+    sides = _sides(exams, wanted, unlogged)
+    pairs: list[Difference] = []
+    missing: list[NotCompared] = []
+    for key in dict.fromkeys([*_expected(*exams, wanted), *sides[0], *sides[1]]):
+        one, other = (side.get(key) for side in sides)
+        reason = _why_not(key, (one, other), exams, names, wanted)
+        if reason is None and one is not None and other is not None:
+            pairs.append(subtract(one, other))
+        else:
+            missing.append(NotCompared(*key, reason or "neither of the two shows it"))
+    return pairs, missing
+
+
+def _sides(
+    exams: tuple[Examination, Examination],
+    wanted: Sequence[Wanted],
+    unlogged: Sequence[Sequence[NotLogged]],
+) -> list[dict[Key, Quantity]]:
+    """Return what either recording shows, the constants at the temperature where both agree best."""
+    reference = _mean_temperature(exams[0].bins, exams[1].bins)
     sides = [_quantities(exam, wanted, reference) for exam in exams]
     crossing = crossing_temperatures(sides, reference)
     if crossing:
@@ -67,34 +116,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
             for e, side in zip(exams, sides, strict=True)
         ]
     sides = not_logged.with_unknown_temperature(sides, unlogged)
-    sides = [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
-    keys = list(dict.fromkeys([*_expected(recorded, simulated, wanted), *sides[0], *sides[1]]))
-    pairs: list[Difference] = []
-    missing: list[NotCompared] = []
-    for key in keys:
-        one, other = (side.get(key) for side in sides)
-        reason = _why_not(key, (one, other), exams, names, wanted)
-        if reason is None and one is not None and other is not None:
-            pairs.append(subtract(one, other))
-        else:
-            missing.append(NotCompared(*key, reason or "neither of the two shows it"))
-    looked = [_looked_for(exam) for exam in exams]
-    reasons = [one.reasons for one in looked]
-    direct, alone, unseen = differences_of_samples(exams, reasons, names, unlogged)
-    pairs += direct
-    pairs = weighed(pairs, max(len(pairs) + len(alone), 1))
-    hidden = {id(d): why for d in pairs if differs(d) and (why := not_logged.of_difference(unlogged, d))}
-    missing += [NotCompared(*key_of(d), hidden[id(d)]) for d in pairs if id(d) in hidden]
-    missing += unseen
-    pairs = [d for d in pairs if id(d) not in hidden]
-    neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
-    count = len(pairs) + len(alone)
-    asked = {(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted}
-    smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
-    smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
-    checks = count + len(neither)
-    whole = concluded(pairs, alone, [*missing, *not_both], names, among=count, checks=checks, had=asked)
-    return replace(whole, smallest=smallest)
+    return [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,8 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, Wanted, kind_of
 from stillcal.calib_core.diagnosis.comparison.looked_for import OF_TIME, why_not_logged
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.records import NotCompared
+from stillcal.calib_core.diagnosis.comparison.stated import differs, key_of
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.records import Finding
@@ -70,7 +72,22 @@ def of_finding(missing: Sequence[NotLogged], exam: Examination, finding: Finding
     return next((m.reason for m in missing if m.may_be(kind_of(scene), finding.effect)), None)
 
 
-def of_difference(missing: Sequence[Sequence[NotLogged]], difference: Difference) -> str | None:
+def without_hidden(
+    pairs: Sequence[Difference], missing: Sequence[Sequence[NotLogged]]
+) -> tuple[list[Difference], list[NotCompared]]:
+    """Return the differences that can be compared, and of those that cannot, which differ, the reasons."""
+    kept: list[Difference] = []
+    hidden: list[NotCompared] = []
+    for pair in pairs:
+        why = _of_difference(missing, pair) if differs(pair) else None
+        if why is None:
+            kept.append(pair)
+        else:
+            hidden.append(NotCompared(*key_of(pair), why))
+    return kept, hidden
+
+
+def _of_difference(missing: Sequence[Sequence[NotLogged]], difference: Difference) -> str | None:
     """Return why a quantity that differs is not compared; None where it is."""
     effect, sensor = difference.recorded.effect, difference.recorded.sensor
     relation = difference.relation()

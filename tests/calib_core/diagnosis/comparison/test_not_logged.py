@@ -8,7 +8,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison import not_logged
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, subtract
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -58,10 +58,10 @@ def test_what_a_side_without_a_thermometer_shows_may_be_the_other_sides_slope() 
     assert not_logged.not_logged((warm, warm), (had, []), NAMES) == ([], [])
     shown = [missing[1][0].may_be("accel", e) for e in ("unknown", "accel_warmup", "accel_nonlinearity")]
     assert shown == [True, True, False] and not missing[1][0].may_be("gyro", "unknown")
-    assert not_logged.of_difference(missing, noisier(0.0, 1.0)) is not None
-    assert not_logged.of_difference(missing, noisier(1.0, 0.0)) is None, (
-        "more noise in the recording is its own"
-    )
+    simulated, recorded, alike = weighed([noisier(0.0, 1.0), noisier(1.0, 0.0), noisier(0.0, 0.0)], 10)
+    kept, hidden = not_logged.without_hidden([simulated, recorded, alike], missing)
+    assert kept == [recorded, alike], "more noise in the recording is its own"
+    assert [(n.effect, n.reason) for n in hidden] == [("accel_slow_noise", missing[1][0].reason)]
     bias, slope = quantity("accel_bias", [0.1] * 3), quantity("accel_bias_temperature", [0.01, 0.0, 0.0])
     keyed = {(q.effect, "accel"): q for q in (bias, slope)}
     known, unsure = not_logged.with_unknown_temperature([keyed, {("accel_bias", "accel"): bias}], missing)
