@@ -99,11 +99,8 @@ class Storage:
             return False
         try:
             await self._run(self._save, data, self.document)
-        except (StoreError, MemoryError) as error:
+        except (StoreError, OSError, MemoryError) as error:
             self._note_failure(str(error) or "out of memory")
-            return False
-        except OSError as error:
-            self._note_failure(f"cannot write {error.filename or 'the state'}: {error.strerror}")
             return False
         self._trouble = ""
         return True
@@ -154,7 +151,11 @@ class Storage:
 
     def _save(self, data: bytes, document: StoreDocument) -> None:
         self._hold(document)
-        saved_state.save(saved_state.state_path(self._store.path), data)
+        state = saved_state.state_path(self._store.path)
+        try:
+            saved_state.save(state, data)
+        except OSError as error:
+            raise store_error(error, state, "write") from error
         memory.release_free_pages()
 
     def _take_outcome(self, outcome: Outcome) -> None:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from stillcal.calib_core.errors import TryAgainError, UserError
-from stillcal.daemon.store.atomic import SAFE
+from stillcal.daemon.store.atomic import SAFE, NotDurableError
 from stillcal.daemon.store.document import Fault, StoreDocument, StoreFormatError, parse
 from stillcal.daemon.store.lock import try_lock
 from stillcal.daemon.system.files import NotRegularError, TooLargeError, passing, read_regular
@@ -174,6 +174,7 @@ def _holder(fd: int) -> int | None:
 
 def store_error(error: OSError, path: Path, verb: str) -> StoreError:
     """Return a system error as a StoreError that says what failed and what to do about it."""
+    verb = "make durable" if isinstance(error, NotDurableError) else verb
     remedy = _REMEDIES.get(error.errno or 0, error.strerror or str(error))
     kind = StoreBusyError if passing(error) else StoreError
     return kind(f"cannot {verb} {path}: {remedy}")

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.daemon.store.atomic import NotDurableError, sync_folder, write_atomically
+from stillcal.daemon.store.atomic import sync_folder, write_atomically
 from stillcal.daemon.store.document import SCHEMA, HistoryEntry, StoreDocument, render
 from stillcal.daemon.store.files import Reading, StoreError, is_locked_by, read, store_error, take_lock
 
@@ -209,8 +209,7 @@ class Store:
                 for path in (self.last_good_path, self.path):
                     write_atomically(path, data, self.settings.mode)
         except OSError as error:
-            verb = "make durable" if isinstance(error, NotDurableError) else "write"
-            raise store_error(error, self.path, verb) from error
+            raise store_error(error, self.path, "write") from error
 
     def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
         """Make `calibration` the current one; the previous one goes into the history; reason and time (s)."""

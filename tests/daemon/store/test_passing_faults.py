@@ -75,6 +75,24 @@ def test_every_call_of_saving_may_fail_once_and_nothing_is_lost(tmp_path: Path, 
     assert found.counts["calls that failed"] > 20
 
 
+def test_whatever_keeps_the_state_from_the_disk_its_file_is_named(path: Path) -> None:
+    storage = Storage(Store(path), lambda note: None)
+    storage.open()
+    troubles = []
+    for number in range(1, 200):
+        with failing_call(number, errno.ENOSPC) as calls:
+            saved = asyncio.run(storage.save(b"state"))
+        if not calls.failed:
+            break
+        if not saved:
+            troubles.append(storage.trouble)
+    storage.close()
+    assert not [trouble for trouble in troubles if str(path.parent) not in trouble]
+    state = saved_state.state_path(path)
+    assert f"cannot write {state}: the disk is full: free some space" in troubles
+    assert f"cannot make durable {state}: the disk is full: free some space" in troubles
+
+
 def test_the_faults_are_really_played(tmp_path: Path) -> None:
     with failing_call(1, errno.EIO) as calls, pytest.raises(OSError, match="Input/output error"):
         os.open(tmp_path / "x", os.O_CREAT | os.O_WRONLY)
