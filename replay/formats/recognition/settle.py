@@ -265,11 +265,7 @@ def _sensor(
 def _rates_apart(rates: OneSensor, force: Part, force_unit: str, candidate: _Candidate) -> tuple[Part, str]:
     """Return the gyroscope that a table of its own holds, and how to say it. Raises TraceError."""
     table = rates.table
-    first = next((a for a in find_axes(table.names or ()) if a.sensor is Sensor.GYROSCOPE), None)
-    axes = candidate.gyroscope or first
-    if axes is None:
-        remedy = "name its columns gyr_x, gyr_y, gyr_z, or give a column map (docs/formats.md)"
-        raise TraceError(table.path, "no gyroscope found by its names", remedy, table.header_line)
+    axes = candidate.gyroscope or _gyroscope_of(candidate.accelerometer, table)
     stamps = candidate.rate_stamps or find_stamps(table.names or ())
     time, time_said = _time(table, _Probe(table), stamps, rates.rate_hz)
     chosen: dict[str, Any] = {
@@ -285,6 +281,23 @@ def _rates_apart(rates: OneSensor, force: Part, force_unit: str, candidate: _Can
     column_map = msgspec.structs.replace(column_map, gyroscope=SensorMap(columns=axes.columns, unit=unit))
     said = f"{table.path.name}: {time_said}; gyroscope {_listed(axes)} in {unit}{unit_said}"
     return Part(table, column_map, [Sensor.GYROSCOPE]), said
+
+
+def _gyroscope_of(accelerometer: Axes, table: Table) -> Axes:
+    """Return the gyroscope in another table that has the accelerometer's label, or is the only one.
+
+    Raises TraceError where there is none, or none of several has the label.
+    """
+    rates = [a for a in find_axes(table.names or ()) if a.sensor is Sensor.GYROSCOPE]
+    ((_, own),) = _pairs([accelerometer, *rates])
+    if own is not None:
+        return own
+    what, remedy = "no gyroscope found by its names", "name its columns gyr_x, gyr_y, gyr_z"
+    if rates:
+        what = f"none of its gyroscopes is called as the accelerometer {_listed(accelerometer)}"
+        remedy = "call both alike, as left_acc_x and left_gyr_x"
+    remedy = f"{remedy}, or give a column map (docs/formats.md)"
+    raise TraceError(table.path, what, remedy, table.header_line)
 
 
 def _listed(axes: Axes) -> str:

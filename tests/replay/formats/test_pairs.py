@@ -77,6 +77,24 @@ def test_two_files_of_one_recording_are_read_together(
     assert_pair(read_all(folder if given == "folder" else folder / first, gyro=gyro))
 
 
+def several(words: list[str], sensor: str, columns: np.ndarray) -> str:
+    """Return a table of one sensor's columns for each word; those of "right" are multiplied by -1."""
+    header = ",".join(["t", *(f"{word}_{sensor}_{axis}" for word in words for axis in "xyz")])
+    return text(header, np.column_stack([T, *(-columns if word == "right" else columns for word in words)]))
+
+
+def test_each_of_several_accelerometers_goes_with_the_gyroscope_of_its_name(tmp_path: Path) -> None:
+    files = {"acc.csv": several(["left", "right"], "acc", FORCE)}
+    folder = as_folder(tmp_path, files | {"gyr.csv": several(["right", "left"], "gyr", RATE)})
+    for sensor, sign in (("left", 1), ("right", -1)):
+        recording = read_all(folder / "acc.csv", sensor=sensor)
+        assert recording.gyroscope is not None
+        np.testing.assert_allclose(recording.gyroscope.xyz, sign * RATE, rtol=1e-9)
+    (folder / "gyr.csv").write_text(several(["hand", "foot"], "gyr", RATE))
+    with pytest.raises(TraceError, match=r"gyr.csv:1: none of its gyroscopes is called as .* left_acc_x"):
+        read_all(folder / "acc.csv")
+
+
 @pytest.mark.parametrize(
     "header", ["t,gx,gy,gz", '"Time (s)","Gyroscope x (rad/s)","Gyroscope y (rad/s)","Gyroscope z (rad/s)"']
 )
