@@ -199,6 +199,9 @@ _SPELLINGS = (
 _LIKE_A_UNIT = re.compile(r"^[a-zµμ]*(/(s|h|hr|min)|(s|h)-\d)")
 """What a bracket holds that is a unit of acceleration or rate, though maybe none that is known."""
 
+_OTHER_UNITS = {"lsb", "lsbs", "count", "counts", "adc", "digit", "digits", "rpm"}
+"""Words of axes for units that are not known here: raw counts, turns a minute."""
+
 _FORCE = {"m/s^2", "cm/s^2", "g", "mg", "ug"}
 _TURNING = {"rad/s", "mrad/s", "deg/s", "mdeg/s"}
 KNOWN_UNITS = _FORCE | _TURNING
@@ -417,6 +420,7 @@ def _axis_of(name: str) -> _Word | None:
     kinds = set(words)
     if unit is None and _LIKE_A_UNIT.match(spelled):
         unit = bracket
+    unit = unit or next(iter(_OTHER_UNITS & {bracket, *words}), None)
     acceleration = bool(kinds & _ACCELERATION) or by_unit in _FORCE
     rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
     if kinds & _NEITHER or (acceleration and kinds & {"angular", "rotation"}) or not (acceleration or rate):

@@ -95,9 +95,24 @@ def test_a_unit_in_brackets_is_believed(tmp_path: Path, unit: str, per_si: float
     assert_read(read(tmp_path, header, DATA[:, 0], FORCE * per_si, RATE))
 
 
-def test_a_unit_that_is_not_known_is_not_guessed(tmp_path: Path) -> None:
-    with pytest.raises(TraceError, match=r"in dm/s\^2, which is no unit that is known; .*counts_per_unit"):
-        read(tmp_path, "t,ax (dm/s^2),ay (dm/s^2),az (dm/s^2)", DATA[:, 0], FORCE * 10)
+@pytest.mark.parametrize(
+    ("axes", "unit", "per_si"),
+    [
+        ("a{} (dm/s^2)", r"dm/s\^2", 10.0),
+        ("acc_{} (LSB)", "lsb", 1024 / 9.80665),  # about the size of gravity in mg
+        ("acc_{}_counts", "counts", 1024 / 9.80665),
+    ],
+)
+def test_a_unit_that_is_not_known_is_not_guessed(tmp_path: Path, axes: str, unit: str, per_si: float) -> None:
+    header = ",".join(["t", *map(axes.format, "xyz")])
+    with pytest.raises(TraceError, match=rf"in {unit}, which is no unit that is known; .*counts_per_unit"):
+        read(tmp_path, header, DATA[:, 0], FORCE * per_si)
+
+
+def test_turns_a_minute_are_not_taken_for_degrees(tmp_path: Path) -> None:
+    header = "t,acc_x,acc_y,acc_z,gyr_x [rpm],gyr_y [rpm],gyr_z [rpm]"
+    with pytest.raises(TraceError, match=r"gyr_z \[rpm\] are in rpm, which is no unit that is known"):
+        read(tmp_path, header, DATA[:, 0], FORCE, RATE * 30 / np.pi)
 
 
 def test_whole_numbers_in_the_size_of_mg_may_be_counts(tmp_path: Path) -> None:
