@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Sequence
 
@@ -14,10 +15,10 @@ DELIMITERS = (";", "\t", "|", ",")
 """What may stand between cells, besides blanks; a comma may also be a decimal mark."""
 
 _FEWEST = 4
-"""Numbers in a row: a time and three axes."""
+"""Numbers in a row: a time and three axes. Half of its cells may be texts."""
 
 _FEWEST_CELLS = 3
-"""Cells of a row without a time: three axes. All of them are numbers then, in the next row too."""
+"""Numbers in a row without a time: three axes. It has no other cells."""
 
 _RATE = re.compile(
     r"(?:rate|freq\w*|fs|odr|sampl\w*|\bat)\b[^0-9\n]{0,20}(\d+(?:\.\d+)?)\s*Hz", re.IGNORECASE
@@ -45,7 +46,7 @@ def stated_rate(lines: Sequence[str]) -> float | None:
 
 def unnamed_place(lines: Sequence[str]) -> int:
     """Return how many lines stand before a table without a header, where they say its rate; else 0."""
-    first = _first_row(lines)
+    first = first_row(lines) or 0
     before = [line for line in lines[:first] if line.strip()]
     named = any(find_axes(split_as(lines[first], uncommented(line))) for line in before)
     return 0 if named or len(before) < 2 or stated_rate(before) is None else first
@@ -64,7 +65,7 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     else the last. What follows it and has a number is a row, though it may be a faulty one. (0, 0) where the
     first line is the header, and where no line is one.
     """
-    first = _first_row(lines)
+    first = first_row(lines) or 0
     before = [i for i in range(first) if lines[i].strip()]
     if len(before) < 2:
         return 0, 0
@@ -81,15 +82,7 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
 def looks_like_a_table(lines: Sequence[str]) -> bool:
     """Whether lines of text hold a row of numbers, or a header that names a sensor's axes."""
     names = ([cell.strip().strip('"') for cell in re.split(r"[;,|\t ]", uncommented(line))] for line in lines)
-    return _first_row(lines) > 0 or is_row(lines[0]) or any(map(find_axes, names))
-
-
-def _first_row(lines: Sequence[str]) -> int:
-    """Return the place of the first row of numbers, 0 where there is none."""
-    short = [_splits(line, delimiter_of(line)) for line in lines]
-    following = [*short[1:], False]
-    rows = (i for i, line in enumerate(lines) if _has_numbers(line) or (short[i] and following[i]))
-    return next(rows, 0)
+    return first_row(lines) is not None or any(map(find_axes, names))
 
 
 def _width(cells: Sequence[str]) -> int:
@@ -109,18 +102,25 @@ def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
     return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, plain, strict=True)]
 
 
-def is_row(line: str) -> bool:
-    """Whether a first line is a row: all its filled cells are numbers or dates, or four of them and half."""
+def first_row(lines: Sequence[str]) -> int | None:
+    """Return the place of the first line that is a row, None where none is.
+
+    A row has four numbers at least, or three if the next line is such a row too.
+    """
+    numbers = itertools.chain(map(_numbers_of, lines), [0])
+    rows = (
+        place
+        for place, (own, after) in enumerate(itertools.pairwise(numbers))
+        if own >= _FEWEST or min(own, after) >= _FEWEST_CELLS
+    )
+    return next(rows, None)
+
+
+def _numbers_of(line: str) -> int:
+    """Return how many cells are numbers or dates: all that are filled, or four and half of them; else 0."""
     filled = [cell for cell in map(_bare, cells_of(line)) if cell]
     numbers = sum(map(_is_value, filled))
-    return numbers >= (_FEWEST_CELLS if numbers == len(filled) else max(_FEWEST, len(filled) / 2))
-
-
-def _has_numbers(line: str) -> bool:
-    """Whether at least four cells of a line, and half of them, are numbers; dates and empty cells count."""
-    cells = [_bare(cell) for cell in cells_of(line)]
-    numbers = sum(not cell or _is_value(cell) for cell in cells)
-    return numbers >= max(_FEWEST, len(cells) / 2)
+    return numbers if numbers == len(filled) or numbers >= max(_FEWEST, len(filled) / 2) else 0
 
 
 def _bare(cell: str) -> bytes:

@@ -18,8 +18,8 @@ from stillcal.replay.formats.columns import (
 from stillcal.replay.formats.recognition.header import (
     DELIMITERS,
     delimiter_of,
+    first_row,
     header_place,
-    is_row,
     split_as,
     stated_rate,
     unnamed_place,
@@ -85,7 +85,7 @@ def _of_lines(lines: list[str], whole: bool) -> TextFormat:
     filled = [line for line in lines if line.strip()]
     if _is_gnss_logger(filled):
         return TextFormat(GNSS_LOGGER, load_map("csv"))
-    if is_row(filled[0]) or _hhar_row(filled[0]):
+    if first_row(filled) == 0 or _hhar_row(filled[0]):
         return _headerless(filled)
     unnamed = unnamed_place(lines)
     if unnamed:

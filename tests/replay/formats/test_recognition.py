@@ -192,6 +192,7 @@ PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
         text(f"# made by hand\n# twice, and, again\n#{OWN}", LONG),
         text(f"# {OWN.replace(',', ' ')}", LONG, " "),
         text(f"sep=,\nDevice:,left\n\n{OWN}", LONG),
+        text(f"Device:,left,,,,,\nRange:,4 g,,,,,\n{OWN}", LONG),  # as a spreadsheet fills short lines
         text(PREAMBLE + OWN.replace(",", "\t"), LONG, "\t"),
         text("t,ax,ay,az,gx,gy,gz\nms,g,g,g,deg/s,deg/s,deg/s", LONG * IN_OTHER_UNITS),
         text(SHIMMER, LONG * IN_OTHER_UNITS, "\t"),
