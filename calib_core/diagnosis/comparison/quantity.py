@@ -136,7 +136,8 @@ class Difference:
             return "superfluous" if self.recorded.none else "lacking"
         if self.recorded.logarithmic:
             return _of_logarithms(self.value)
-        weight = np.linalg.inv(self.covariance + np.diag((1e-9 * self.recorded.size) ** 2))
+        apart = np.hypot(self.recorded.tolerance, 1e-9 * self.recorded.size)
+        weight = np.linalg.inv(self.covariance + np.diag(apart**2))
         sizes = [float(q.value @ weight @ q.value) for q in (self.recorded, self.simulated)]
         # Beside a value ten times as large, a small one is something only where there is no doubt of it.
         minor = [own < MODELLED**2 * other for own, other in (sizes, sizes[::-1])]

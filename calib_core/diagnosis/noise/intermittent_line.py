@@ -20,8 +20,9 @@ from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Index,
+    Measured,
     Seen,
-    sized,
+    share_of,
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
@@ -135,7 +136,7 @@ class _Told:
     """
 
     seen: Seen
-    share: float
+    share: Measured
     span: tuple[float, float]
     amplitude: Array
     error: Array
@@ -203,7 +204,10 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
     amplitude = np.sqrt(np.maximum(power.mean(axis=0), 0.0))
     spread = power.std(axis=0) / np.sqrt(len(power))
     error = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread))
-    return _Told(Seen(nats, held_out), float(chance.mean()), ends, amplitude, error)
+    times = max(int(np.count_nonzero(np.diff(there.astype(np.int8)) == 1)) + int(there[0]), 1)
+    hits = float(there.sum())
+    share = share_of(hits, float(there.size), max(hits / times, 1.0))
+    return _Told(Seen(nats, held_out), share, ends, amplitude, error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -284,13 +288,13 @@ def _unsteady(line: Finding, told: _Told) -> Finding:
     parameters = {
         "frequency": line.parameters["frequency"],
         "amplitude": vector(told.amplitude, told.error, line.parameters["amplitude"].unit),
-        **sized({"fraction": (told.share, "1")}),
+        "fraction": told.share.parameter("1"),
     }
     frequency = float(np.asarray(line.parameters["frequency"].value))
     sizes = ", ".join(f"{axis} {told.amplitude[AXES.index(axis)]:.3g}" for axis in line.axes)
     say = (
         f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there"
-        f" in {100.0 * told.share:.0f} % of the time at rest, with an amplitude of"
+        f" in {100.0 * told.share.value:.0f} % of the time at rest, with an amplitude of"
         f" {sizes} {UNIT[line.sensor]}."
     )
     where = Where(*told.span, line.where.band_hz, DRIVER)

@@ -70,6 +70,9 @@ FLANK, FLANK_SIGMAS = 0.15, 2.0
 FINE = 0.05
 MOST_REFINED = 60
 CLOCK = 2e-5
+EITHER_END = float(np.sqrt(2.0 / 12.0))
+"""Standard deviation of the sum of two numbers, each uniform between 0 and 1."""
+
 STUDENT = 1.42
 """Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
 SIGNIFICANT = 3.0
@@ -305,11 +308,12 @@ def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding |
     axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
     evidence = _seen(line, noise, seen.f.size)
     half = NORMAL_95 * error
+    start, end = _lasts(seen, rows)
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
         "amplitude": vector(amplitude, scatter, UNIT[sensor]),
+        "fraction": _fraction(seen, start, end),
     }
-    start, end = _lasts(seen, rows)
     where = Where(start, end, (frequency - half, frequency + half), "time")
     rate = 2.0 * float(seen.f[-1])
     vibration = "Vibration" if (start, end) == seen.whole else f"From {start:.0f} to {end:.0f} s: vibration"
@@ -328,6 +332,14 @@ def _lasts(seen: Stretches, rows: Index) -> tuple[float, float]:
     start = seen.whole[0] if first == 0 else float(seen.span[first, 0])
     end = seen.whole[1] if last == len(seen.span) - 1 else float(seen.span[last, 1])
     return start, end
+
+
+def _fraction(seen: Stretches, start: float, end: float) -> Parameter:
+    """Return the part of the recording from `start` to `end`, s: either moment lies anywhere in a stretch."""
+    whole = max(seen.whole[1] - seen.whole[0], end - start)
+    part = (end - start) / whole
+    error = EITHER_END * float(np.median(seen.span[:, 1] - seen.span[:, 0])) / whole
+    return Parameter(part, [part - NORMAL_95 * error, min(part + NORMAL_95 * error, 1.0)], "1")
 
 
 def _seen(line: Array, noise: Array, frequencies: int) -> Seen:

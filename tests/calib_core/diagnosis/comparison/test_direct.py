@@ -24,6 +24,12 @@ def shaken(amplitude: float, seed: int, hertz: float = 13.7) -> Samples:
     return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
 
 
+def while_there(samples: Samples, seconds: float) -> Samples:
+    """Return samples whose line ends after some seconds."""
+    xyz = np.where((samples.t < seconds)[:, None], samples.xyz, shaken(0.0, 7).xyz)
+    return Samples(samples.sensor, samples.t, frozen(xyz))
+
+
 def tone(samples: Samples, sensor: str) -> Finding | None:
     """Return the surest line, None without any."""
     return next(iter(tones(samples, sensor)), None)
@@ -51,6 +57,23 @@ def test_a_line_twice_as_strong_is_a_difference_whether_or_not_an_axis_shows_not
     assert evidence((0.03, 0.06), (0, 1)) > 10.0
     assert evidence((0.06, 0.03), (1, 0)) > 10.0
     assert evidence((0.03, 0.06), (0, 0)) > 10.0
+
+
+@pytest.mark.parametrize("seeds", [(0, 1), (2, 1)])  # with and without an axis that shows nothing of it
+@pytest.mark.parametrize(("lasts", "relation"), [((100, 600), "too_large"), ((600, 100), "too_small")])
+def test_a_line_of_the_same_size_that_lasts_longer_is_a_difference(
+    lasts: tuple[float, float], relation: str, seeds: tuple[int, int]
+) -> None:
+    one, other = (
+        tone(while_there(shaken(0.06, seed), seconds), "accel")
+        for seed, seconds in zip(seeds, lasts, strict=True)
+    )
+    assert one is not None and other is not None
+    assert one.parameters["fraction"].value == pytest.approx(lasts[0] / 600.0, abs=0.03)
+    pair = quantities_of(one, other)
+    assert pair is not None
+    difference = subtract(*pair)
+    assert difference.log_bayes_factor > 10.0 and difference.relation() == relation
 
 
 @pytest.mark.parametrize(("hertz", "same"), [(13.9, True), (15.5, False)])
