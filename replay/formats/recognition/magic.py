@@ -12,6 +12,7 @@ ULOG, DATAFLASH, AXIVITY = "PX4 ULog", "ArduPilot DataFlash", "Axivity CWA"
 ROS1, ROS2, MCAP = "ROS 1 bag", "ROS 2 bag", "MCAP"
 PARQUET, HDF5, MATLAB, NPY, ZIP = "Parquet", "HDF5", "MATLAB", "NumPy", "zip"
 JSON = "JSON"
+ECHO = "rostopic echo"
 TEXT = "text"
 
 STARTS = {
@@ -53,6 +54,9 @@ _FOREIGN = {
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{\]])")
 """How JSON begins that can hold records. A line in brackets begins the preamble of a text table too."""
 
+_ECHO = re.compile(rb"(?:---\s*\n)?(\w+):\s*\n[ \t]+\w+:.*?\n---\s*\n\1:\s*\n", re.DOTALL)
+"""How messages begin that are printed one after another: two with the same first field, `---` between."""
+
 _PACKED = ("archive", "bzip2", "xz file", "zstd", "compressed")
 _REMEDIES = {
     _BLACKBOX: "decode it with blackbox_decode --save-headers and give the CSV",
@@ -80,6 +84,8 @@ def kind_of(source: Source) -> str:
             raise ForeignError(source.path, f"is {name}, not a recording that can be read", remedy)
     if _JSON.match(head):
         return JSON
+    if _ECHO.match(head):
+        return ECHO
     if b"\0" in head and not head.startswith(UTF16):
         what = "is not a text file, and no binary format that is known"
         remedy = "give one of the formats in docs/formats.md, or text in UTF-8"

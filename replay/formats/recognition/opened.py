@@ -39,6 +39,8 @@ from stillcal.replay.formats.recognition.text_formats import (
 from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.tables.echoed import echoed_records
+from stillcal.replay.formats.tables.json_table import JsonTable
 from stillcal.replay.formats.tables.layout import missing
 from stillcal.replay.formats.tables.table import Table
 from stillcal.replay.formats.tables.text import NoRowsError, TextTable, has_rows
@@ -215,19 +217,44 @@ def _json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
     tables = json_tables(source)
     if not tables:
         return open_arrays(source, magic.JSON, column_map)
+    return _records_log(source, magic.JSON, tables, column_map, gyro)
+
+
+def _echo_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
+    """Return the log of messages that ROS printed. Raises TraceError."""
+    return _records_log(source, magic.ECHO, _echo_tables(source), column_map, gyro)
+
+
+def _echo_tables(source: Source) -> dict[str, Callable[[], JsonTable]]:
+    """Return what opens the table of messages that ROS printed, as json_tables does."""
+    return {"": partial(JsonTable, source.path, partial(echoed_records, source), source.size)}
+
+
+_RECORDS = {magic.JSON: json_tables, magic.ECHO: _echo_tables}
+"""What opens the tables of records of each kind."""
+
+
+def _records_log(
+    source: Source,
+    kind: str,
+    tables: dict[str, Callable[[], JsonTable]],
+    column_map: ColumnMap | None,
+    gyro: Source | None,
+) -> Log:
+    """Return the log of tables of records, by the fields that hold them. Raises TraceError."""
     base = column_map or load_map("csv")
     own = [OneSensor(_qualified(opened(), _container(source, name)), base) for name, opened in tables.items()]
     if len(own) > 1 and column_map is None:
-        return Log(source.path, magic.JSON, settled_apart(own), beside=source.local)
+        return Log(source.path, kind, settled_apart(own), beside=source.local)
     table, opened = own[0].table, next(iter(tables.values()))
     if column_map is not None or is_own(table.names or []):
         if column_map is None:
             refuse_devices_in_turn(opened())
-        return Log(source.path, magic.JSON, mapped(table, base), beside=source.local)
+        return Log(source.path, kind, mapped(table, base), beside=source.local)
     rows = sensors_of_rows(opened, base)
-    log = Log(source.path, magic.JSON, rows, beside=source.local) if rows else None
-    if log is None:
-        log = _log_by_names(source, own[0], magic.JSON, gyro)
+    if rows:
+        return Log(source.path, kind, rows, beside=source.local)
+    log = _log_by_names(source, own[0], kind, gyro)
     if log is None:
         raise missing(table, [])
     return log
@@ -259,8 +286,9 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
 
 def _one_sensor(source: Source) -> OneSensor:
     """Return the table of a file with what its name tells of its columns. Raises TraceError."""
-    if magic.kind_of(source) == magic.JSON:
-        tables = json_tables(source)
+    kind = magic.kind_of(source)
+    if kind in _RECORDS:
+        tables = _RECORDS[kind](source)
         if len(tables) != 1:
             raise TraceError(
                 source.path, "holds no one list of JSON records", "write one object for each sample"
@@ -355,7 +383,7 @@ def other_file(path: Path, rules: tuple[tuple[str, str], ...]) -> Path | None:
     return None
 
 
-_TABLES: dict[str, Reader] = {magic.TEXT: _text_log, magic.JSON: _json_log}
+_TABLES: dict[str, Reader] = {magic.TEXT: _text_log, magic.JSON: _json_log, magic.ECHO: _echo_log}
 """The tables that a gyroscope's own file may go with."""
 
 _LOGS: dict[str, Callable[[Source], Log]] = {

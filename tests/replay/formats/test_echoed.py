@@ -1,0 +1,72 @@
+"""Messages as ROS prints them, in the layouts of `rostopic echo` (ROS 1) and `ros2 topic echo`."""
+
+from __future__ import annotations
+
+import gzip
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.trace import Recording, read_all
+from tests.support.log_files import DATA
+
+T, FORCE, RATE = DATA[:, 0], DATA[:, 1:4], DATA[:, 4:]
+NS = np.round((1.7e9 + T) * 1e9).astype(np.int64)
+
+
+def vector(values: np.ndarray) -> str:
+    return "".join(f"  {axis}: {value!r}\n" for axis, value in zip("xyz", values.tolist(), strict=True))
+
+
+def ros1(i: int) -> str:
+    secs, nsecs = divmod(int(NS[i]), 1_000_000_000)
+    stamp = f"header: \n  seq: {i}\n  stamp: \n    secs: {secs}\n    nsecs: {nsecs:9d}\n"
+    none = "covariance: [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n"
+    turning = f"angular_velocity: \n{vector(RATE[i])}angular_velocity_{none}"
+    pushing = f"linear_acceleration: \n{vector(FORCE[i])}linear_acceleration_{none}"
+    return f'{stamp}  frame_id: "imu"\n{turning}{pushing}'
+
+
+def ros2(i: int) -> str:
+    sec, nanosec = divmod(int(NS[i]), 1_000_000_000)
+    stamp = f"header:\n  stamp:\n    sec: {sec}\n    nanosec: {nanosec}\n  frame_id: imu_link\n"
+    none = "covariance:\n" + "- -1.0\n" * 9
+    turning = f"angular_velocity:\n{vector(RATE[i])}angular_velocity_{none}"
+    return f"{stamp}{turning}linear_acceleration:\n{vector(FORCE[i])}linear_acceleration_{none}"
+
+
+def read(folder: Path, text: str) -> Recording:
+    path = folder / "imu.txt"
+    path.write_text(text)
+    return read_all(path)
+
+
+def assert_read(recording: Recording) -> None:
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+    np.testing.assert_array_equal(recording.gyroscope.xyz, RATE)
+    np.testing.assert_allclose(recording.accelerometer.t, NS / 1e9, atol=1e-6)
+
+
+@pytest.mark.parametrize("message", [ros1, ros2])
+@pytest.mark.parametrize("before", ["", "---\n"])
+def test_printed_messages_are_read(tmp_path: Path, message: Callable[[int], str], before: str) -> None:
+    text = before + "".join(f"{message(i)}---\n" for i in range(len(T)))
+    assert_read(read(tmp_path, text))
+    assert_read(read(tmp_path, text.replace("\n", "\r\n")))
+    packed = tmp_path / "imu.txt.gz"
+    packed.write_bytes(gzip.compress(text.encode()))
+    assert_read(read_all(packed))
+
+
+def test_a_message_that_breaks_off_is_named_by_its_line(tmp_path: Path) -> None:
+    text = "".join(f"{ros2(i)}---\n" for i in range(len(T)))
+    last = text[:-4].rindex("---\n")
+    line = text.count("\n", 0, last) + 2
+    with pytest.raises(TraceError, match=rf"imu.txt:{line}: field 'linear_acceleration.z' is empty"):
+        read(tmp_path, text[: text.rindex("  z:")])
+    with pytest.raises(TraceError, match=rf"imu.txt:{line}: neither a field of a message"):
+        read(tmp_path, text[:last] + "---\nheader\n")
