@@ -32,7 +32,12 @@ _ACCELERATION = {
     ),
     *("force", "gforce", "gf"),
     *("beschleunigung", "aceleracion", "accelerazione", "aceleracao", "versnelling", "przyspieszenie"),
+    *("beschleunigungssensor", "acelerometro", "accelerometro", "accelerometre"),
+    *("versnellingsmeter", "akcelerometr"),
 }
+_ANGULAR = {"angular", "rotation", "angolare", "angulaire", "katowa", "katowe"}
+"""Words that make an acceleration an angular one."""
+
 _RATE = {
     *(
         "w",
@@ -43,12 +48,12 @@ _RATE = {
         "gyroscope",
         "gyroscopes",
         "omega",
-        "angular",
-        "rotation",
         "rotationrate",
     ),
     *("rot", "angvel", "angrate", "turnrate", "bodyrate"),
     *("drehrate", "winkelgeschwindigkeit", "gyroskop", "giroscopio", "giroscopo", "zyroskop"),
+    *("gyroscoop", "hoeksnelheid"),
+    *_ANGULAR,
 }
 _NEITHER = {
     *(
@@ -130,6 +135,7 @@ _TIME = {
         "datetime",
     ),
     *("zeit", "tijd", "tid", "tempo", "tiempo", "temps", "czas"),
+    *("zeitstempel", "tijdstempel", "czasu"),
     "tow",  # GPS time of week
 }
 _TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
@@ -157,7 +163,10 @@ _LATE = {"offset"}
 """Words of times that count from another one: they serve where there is no other."""
 
 _ARRIVAL = {"arrival", "utc", "received", "host", "log", "unix"}
-_THERMOMETER = {"temp", "temperature", "temps", "celsius", "degc"}
+_THERMOMETER = {
+    *("temp", "temperature", "celsius", "degc"),
+    *("temperatur", "temperatura", "temperatuur"),
+}
 _RATES_HZ = {
     "fs",
     "hz",
@@ -423,7 +432,7 @@ def _axis_of(name: str) -> _Word | None:
     unit = unit or next(iter(_OTHER_UNITS & {bracket, *words}), None)
     acceleration = bool(kinds & _ACCELERATION) or by_unit in _FORCE
     rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
-    if kinds & _NEITHER or (acceleration and kinds & {"angular", "rotation"}) or not (acceleration or rate):
+    if kinds & _NEITHER or (acceleration and kinds & _ANGULAR) or not (acceleration or rate):
         return None
     sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE
     unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)

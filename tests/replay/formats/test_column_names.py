@@ -134,11 +134,27 @@ def test_a_temperature_of_another_name_beside_own_columns_is_read(tmp_path: Path
     [
         "Zeit,Beschleunigung X,Beschleunigung Y,Beschleunigung Z,Drehrate X,Drehrate Y,Drehrate Z",
         "tiempo,aceleración_x,aceleración_y,aceleración_z,giroscopio_x,giroscopio_y,giroscopio_z",
+        "tempo,accelerometro_x,accelerometro_y,accelerometro_z,"
+        "velocità angolare x,velocità angolare y,velocità angolare z",
+        "Tempo (s),Acelerômetro X,Acelerômetro Y,Acelerômetro Z,Giroscópio X,Giroscópio Y,Giroscópio Z",
+        "tijdstempel,versnelling x,versnelling y,versnelling z,hoeksnelheid x,hoeksnelheid y,hoeksnelheid z",
+        "Znacznik czasu,Przyśpieszenie X,Przyśpieszenie Y,Przyśpieszenie Z,"
+        "Prędkość kątowa X,Prędkość kątowa Y,Prędkość kątowa Z",
         "Temps (s),Accélération x,Accélération y,Accélération z,Gyroscope x,Gyroscope y,Gyroscope z",
     ],
 )
 def test_names_in_other_languages(tmp_path: Path, header: str) -> None:
-    assert_read(read(tmp_path, header, DATA))
+    recording = read(tmp_path, header, DATA)
+    assert_read(recording)
+    assert recording.accelerometer.temperature is None
+
+
+@pytest.mark.parametrize("word", ["Temperatur", "Température", "temperatura", "Temperatuur"])
+def test_a_temperature_in_other_languages(tmp_path: Path, word: str) -> None:
+    recording = read(tmp_path, f"Temps (s),ax,ay,az,gx,gy,gz,{word}", DATA, np.full(len(DATA), 21.5))
+    assert_read(recording)
+    assert recording.accelerometer.temperature is not None
+    np.testing.assert_array_equal(recording.accelerometer.temperature, 21.5)
 
 
 def test_a_format_of_two_files_may_hold_both_sensors_in_one(tmp_path: Path) -> None:
