@@ -2,17 +2,20 @@
 
 `ax: 0.1 ay: 0.2` and `ax=0.1,ay=0.2` have a name before each number, as sketches print them;
 `[0.1, 0.2, 9.8]` is one cell of three numbers, as pandas writes arrays; `10:00:00.020 -> 0.1,0.2` has a
-serial monitor's stamp; `0.1,0.2;` ends its row with another mark.
+serial monitor's stamp; `0.1,0.2;` ends its row with another mark; `"1,234.5"` and `1 234,5` have marks
+between thousands, as spreadsheets write them.
 """
 
 from __future__ import annotations
 
 import codecs
+import csv
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
-from stillcal.replay.formats.recognition.header import split_as
+from stillcal.replay.formats.recognition.header import delimiter_of, split_as
 from stillcal.replay.formats.recognition.names import find_axes, is_unit
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.cells import is_number
@@ -30,6 +33,9 @@ _STAMPED = re.compile(r"^\s*(\d\d:\d\d:\d\d[.,]\d+)\s+->\s*")
 _LIST = re.compile(rf'"?[\[(]\s*((?:{_NUMBER})(?:(?:\s*,\s*|\s+)(?:{_NUMBER}))+)\s*[\])]"?', re.IGNORECASE)
 _IN_A_LIST = re.compile(r"[\s,]+")
 _BOM = codecs.BOM_UTF8.decode("latin-1")
+_GROUP_MARKS = ((",", r"\."), (r"\.", ","), ("['\u2019 ]|\xc2?\xa0|\xe2\x80\xaf|\u202f", "[.,]"))
+"""Marks between thousands, with the decimal marks beside them; blanks that do not break, also as bytes."""
+
 _FEWEST = 3
 """Labelled numbers of a line: three axes."""
 
@@ -50,8 +56,9 @@ def rewritten(source: Source) -> Rewritten:
     plain = plain_text(source)
     head = [line.rstrip("\r") for line in text_head(plain).split("\n")]
     steps: list[Rewrite] = []
-    for find in (_without_stamps, _without_ends):
-        step = find(head[:_LOOKED_AT])
+    looked_at = [(_without_stamps, _LOOKED_AT), (_without_ends, _LOOKED_AT), (_without_groups, -1)]
+    for find, until in looked_at:
+        step = find(head[:until])
         if step is not None:
             steps.append(step)
             head = [step(line) for line in head]
@@ -89,6 +96,36 @@ def _without_ends(lines: Sequence[str]) -> Rewrite | None:
     filled = [line for line in lines if line.strip()]
     ended = filled and all(line.rstrip().endswith(";") and line.count(";") == 1 for line in filled)
     return (lambda line: line.rstrip().removesuffix(";")) if ended and "," in filled[0] else None
+
+
+def _without_groups(lines: Sequence[str]) -> Rewrite | None:
+    """Return what takes out the marks between thousands; None where no cell has any.
+
+    A mark stands between thousands where all numbers that have it have it there, and it cannot be the decimal
+    mark: another number has that one, or a number has it twice.
+    """
+    filled = list(filter(str.strip, lines))
+    delimiter = delimiter_of(filled[-1]) if filled else " "
+    if delimiter == " ":
+        return None
+    cells = [cell.strip() for line in lines for cell in _cells(line, delimiter) if cell[-1:].isdigit()]
+    for mark, decimal in _GROUP_MARKS:
+        grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
+        with_mark = [cell for cell in cells if re.search(mark, cell) and not is_date(cell.encode())]
+        twice = any(len(re.findall(mark, cell)) > 1 for cell in with_mark)
+        shown = twice or len(mark) > 2 or any(re.search(rf"\d{decimal}\d", cell) for cell in cells)
+        if with_mark and shown and all(map(grouped.fullmatch, with_mark)):
+            return partial(_without_marks, delimiter, re.compile(mark), grouped)
+    return None
+
+
+def _without_marks(delimiter: str, mark: re.Pattern[str], grouped: re.Pattern[str], line: str) -> str:
+    cells = (mark.sub("", c) if grouped.fullmatch(c.strip()) else c for c in _cells(line, delimiter))
+    return delimiter.join(f'"{cell}"' if delimiter in cell else cell for cell in cells)
+
+
+def _cells(line: str, delimiter: str) -> list[str]:
+    return next(csv.reader([line], delimiter=delimiter), [])
 
 
 def _labelled(line: str) -> tuple[list[str], list[str]] | None:

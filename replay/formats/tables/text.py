@@ -92,7 +92,7 @@ class TextTable:
         self.opening = [self._cells(row) for row in rows[:OPENING_ROWS]]
         if self.names is not None:
             self.names = _as_wide_as(self.first_row, self.names)
-        self.decimal = _decimal(self.first_row, column_map.decimal)
+        self.decimal = _decimal(self.first_row, "auto" if self.delimiter == "," else column_map.decimal)
         self.header_line: int | None = column_map.skip_lines + 1
         self.width = len(self.names) if self.names is not None else len(self.first_row)
 
@@ -202,8 +202,13 @@ class TextTable:
             text = text.replace(b'"', b"")
         if self.delimiter == ",":
             return text
-        text = text.replace(b",", b"." if self.decimal == "," else b" ")
+        text = text.replace(b",", self._for_comma.encode())
         return blanks_to_commas(text) if self.delimiter == _BLANKS else text.replace(self._mark, b",")
+
+    @property
+    def _for_comma(self) -> str:
+        """What replaces a comma within a cell: a blank, which no number has, where it is no decimal mark."""
+        return "." if self.decimal == "," else " "
 
     @property
     def _mark(self) -> bytes:
@@ -229,7 +234,7 @@ class TextTable:
                 cut = unfinished and number == first_line + len(rows) - 1
                 what = f"{len(cells)} cells instead of {self.width}"
                 raise TraceError(self.path, what, _CUT_REMEDY if cut else _ROW_REMEDY, number)
-            rows_kept.append(",".join(cell.replace(",", self.decimal) for cell in cells) + "\n")
+            rows_kept.append(",".join(cell.replace(",", self._for_comma) for cell in cells) + "\n")
             lines.append(number)
         return "".join(rows_kept).encode(), np.array(lines, dtype=np.int64)
 
@@ -382,7 +387,8 @@ def _decimal(first_row: Sequence[str], decimal: str) -> str:
     """Return the decimal mark, found in a row's cells where it is "auto"."""
     if decimal != "auto":
         return decimal
-    return "," if any("," in cell for cell in first_row) else "."
+    with_comma = (cell.replace(",", ".").encode() for cell in first_row if "," in cell)
+    return "," if any(is_number(cell) or is_date(cell) for cell in with_comma) else "."
 
 
 def _delimiter(line: str, delimiter: str) -> str:

@@ -73,6 +73,50 @@ def test_lists_stamps_and_ends(tmp_path: Path, header: str, line: str) -> None:
     assert_read(path)
 
 
+GROUPED = {
+    "quoted": (",", '"{:,.3f}"', None),
+    "quoted where long": (",", "{:,.3f}", None),
+    "German": (";", "{:,.3f}", str.maketrans(",.", ".,")),
+    "French": (";", "{:,.3f}", str.maketrans(",.", "\u00a0,")),
+    "Swiss": ("\t", "{:,.3f}", str.maketrans(",", "'")),
+    "English, tabs": ("\t", "{:,.3f}", None),
+}
+
+
+@pytest.mark.parametrize(("mark", "cell", "as_written"), GROUPED.values(), ids=GROUPED)
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_marks_between_thousands(
+    tmp_path: Path, mark: str, cell: str, as_written: dict[int, int] | None, encoding: str
+) -> None:
+    milli = np.column_stack([MS, FORCE / 9.80665e-3])
+    table = [[cell.format(value).translate(as_written or {}) for value in row] for row in milli]
+    quoted = [[f'"{c}"' if mark in c and '"' not in c else c for c in row] for row in table]
+    path = tmp_path / "r.csv"
+    text = "\n".join(map(mark.join, [["time_ms", "ax_mg", "ay_mg", "az_mg"], *quoted])) + "\n"
+    path.write_bytes(text.encode(encoding))
+    recording = read_all(path)
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, atol=1e-5)
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+
+
+def test_commas_that_may_be_decimal_marks_stay(tmp_path: Path) -> None:
+    force = FORCE + np.array([1, 1, 0])  # so that no number begins with 0
+    rows = [[f"{t}", *(f"{v:.3f}".replace(".", ",") for v in a)] for t, a in zip(MS, force, strict=True)]
+    path = tmp_path / "r.csv"
+    path.write_text("time_ms;ax;ay;az\n" + "\n".join(map(";".join, rows)) + "\n")
+    np.testing.assert_allclose(read_all(path).accelerometer.xyz, force, atol=6e-4)
+
+
+def test_whole_thousands_among_other_numbers_are_not_taken_for_decimals(tmp_path: Path) -> None:
+    table = "t,acc_x,acc_y,acc_z\n" + "".join(
+        f"{i / 100},0.5,1.5,{c}\n" for i, c in enumerate(["998"] * 9000 + ['"1,006"'] * 10)
+    )
+    path = tmp_path / "r.csv"
+    path.write_text(table)
+    with pytest.raises(TraceError, match=r"r.csv:9002: column 'acc_z' holds '1 006', which is not a number"):
+        read_all(path)
+
+
 def test_a_faulty_line_is_named_as_it_stands_in_the_file(tmp_path: Path) -> None:
     rows = lines(LABELLED["blanks"])
     path = tmp_path / "r.txt"
