@@ -340,10 +340,18 @@ class Service:
                 await asyncio.gather(saving, serving, *others, return_exceptions=True)
         saved = not saving.cancelled() and saving.result()
         if not saved:
-            say("warning", "stopping", "the engine or the disk is busy: the state is as it was last saved")
+            self._say_what_is_lost("the engine or the disk is busy" if saving.cancelled() else "see above")
         self.engine_thread.close()
         self.storage.close()
         say("info", "stopped", "state saved" if saved else "", calibration=self.current_id)
+
+    def _say_what_is_lost(self, otherwise: str) -> None:
+        """Log what the end of the daemon loses. otherwise: why, where no write has failed."""
+        why = self.storage.trouble or otherwise
+        say("warning", "stopping", f"{why}: the state is as it was last saved")
+        if (lost := self.storage.unsaved) is not None:
+            what = "the newest change of the calibration is not in the store"
+            say("error", "lost", f"{why}: {what}", calibration=lost.record.id, reason=lost.reason)
 
     # What the engine wants done
 

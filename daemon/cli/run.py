@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import signal
+import sys
 from pathlib import Path
 
 import click
 
 from stillcal.calib_core.errors import TryAgainError
 from stillcal.daemon.app_launch import LaunchOptions
+from stillcal.daemon.cli.exits import NOT_SAVED
 from stillcal.daemon.cli.interruption import quit_when_interrupted
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
@@ -51,7 +53,8 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
 
     The phone is connected by a serial line. With kind = "iio" under [source], the daemon reads this machine's
     own sensors instead. SIGHUP reads the settings again. Logs go to standard error. Exit code 2 when the
-    settings are wrong, or the store or the socket cannot be used; 75 after a passing fault of the machine
+    settings are wrong, or the store or the socket cannot be used; 74 when it was stopped while its newest
+    calibration could not be written to the store; 75 after a passing fault of the machine
     (disk, memory, descriptors) or while another process holds the store: start it again.
     """
     require("stillcal run", DAEMON)
@@ -78,6 +81,8 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
         service.open()
         memory.exempt_from_collection()
         asyncio.run(service.run())
+        if service.storage.unsaved is not None:
+            sys.exit(NOT_SAVED)  # the log has said why
     except MemoryError as error:
         raise TryAgainError("the system is out of memory: free some") from error
     except OSError as error:

@@ -53,6 +53,11 @@ class Storage:
         """Why the last write failed; empty where it did not."""
         return self._trouble
 
+    @property
+    def unsaved(self) -> Publish | Forget | None:
+        """The newest change of the current calibration that is not on the disk; None where there is none."""
+        return next((action for action in reversed(self._queued) if not isinstance(action, Reject)), None)
+
     def open(self) -> saved_state.Loaded:
         """Become the store's only writer, make it usable, and return the saved state.
 

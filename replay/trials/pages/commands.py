@@ -49,6 +49,7 @@ MEANINGS = (
     ),
     (exits.NO_DAEMON, "no daemon answers"),
     (exits.VERDICT, "the diagnosis came to a verdict that `--fail-on` names"),
+    (exits.NOT_SAVED, "the daemon was stopped, and its newest calibration could not be written to the store"),
     (exits.TRY_AGAIN, "a passing fault of the machine stopped the daemon: start it again"),
     (exits.INTERRUPTED, "interrupted; nothing is left half-written"),
 )

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from stillcal.daemon.cli.exits import TRY_AGAIN
+from stillcal.daemon.cli.exits import NOT_SAVED, TRY_AGAIN
 from stillcal.daemon.cli.query import replies
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.wire.messages import Hello
@@ -85,6 +85,42 @@ def test_killed_at_once_it_keeps_its_rests_and_a_second_one_is_refused(
         assert not (tmp_path / "socket").exists()
 
     within_reason(test())
+
+
+def test_a_calibration_that_cannot_be_written_is_told_at_the_end_with_74(
+    tmp_path: Path, lab: list[Any]
+) -> None:
+    more = arguments(tmp_path)
+    store = tmp_path / "folder" / "store.json"
+
+    async def test() -> None:
+        async with PhoneLink(PhoneStream(lab), Hello(session=4, flow="credit")) as link:
+            link.plug(tmp_path / "tty")
+            with process(tmp_path, *more, "--store", str(store)) as daemon:
+                await asyncio.to_thread(heard, daemon, "ready")
+                store.parent.rename(tmp_path / "away")
+                phone = asyncio.create_task(link.serve())
+                await asyncio.to_thread(heard, daemon, "calibrated")
+                daemon.send_signal(signal.SIGTERM)
+                lines = (await asyncio.to_thread(daemon.communicate, timeout=30))[1].splitlines()
+                assert daemon.returncode == NOT_SAVED
+            phone.cancel()
+        why = f"cannot lock {store}: there is no such folder"
+        assert [line for line in lines if "stopping: " in line and why in line]
+        assert [line for line in lines if "lost: " in line and why in line and "calibration=" in line]
+        assert "busy" not in "".join(lines)
+
+    within_reason(test())
+
+
+def test_a_state_that_cannot_be_written_is_told_at_the_end_with_0(tmp_path: Path) -> None:
+    store = tmp_path / "folder" / "store.json"
+    with process(tmp_path, *arguments(tmp_path), "--store", str(store)) as daemon:
+        heard(daemon, "ready")
+        store.parent.rename(tmp_path / "away")
+        daemon.send_signal(signal.SIGTERM)
+        assert f"cannot lock {store}: there is no such folder" in heard(daemon, "stopping")
+        assert daemon.wait(30) == 0
 
 
 def test_the_daemon_holds_no_more_than_it_uses() -> None:
