@@ -1,7 +1,7 @@
 """Lines in the spectrum of steady stretches, all along the recording or for a while.
 
 A line stands in the same place in several stretches and above its own neighbourhood, which a hand's tremor,
-typing or a road do not. Its frequency and amplitude come from the stamps themselves.
+typing or a road do not.
 """
 
 from __future__ import annotations
@@ -12,18 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.left_out import blocks
-from stillcal.calib_core.diagnosis.model.measurement import (
-    NORMAL_95,
-    HeldOut,
-    Index,
-    Seen,
-    direct_finding,
-    of_fit,
-    vector,
-)
-from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.measurement import Index
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.intermittent_line import named_if_steady
+from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
     INDEPENDENT,
     NEIGHBOURS,
@@ -32,8 +24,6 @@ from stillcal.calib_core.diagnosis.noise.steady_segments import (
     Stretches,
     stretches,
 )
-from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
 BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
@@ -65,18 +55,6 @@ USUAL = 0.98
 LOUDEST = 10.0
 LEAST_HALF, QUIET = 3.3, 2.83
 """QUIET: mean of the largest of nine powers with no line (1 + 1/2 + ... + 1/9)."""
-
-FLANK, FLANK_SIGMAS = 0.15, 2.0
-FINE = 0.05
-MOST_REFINED = 60
-CLOCK = 2e-5
-EITHER_END = float(np.sqrt(2.0 / 12.0))
-"""Standard deviation of the sum of two numbers, each uniform between 0 and 1."""
-
-STUDENT = 1.42
-"""Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
-SIGNIFICANT = 3.0
-"""Standard errors from which an axis has a line: by chance one in 700."""
 
 PACES = (0.6, 3.0)
 """Hz of hearts and steps."""
@@ -148,9 +126,9 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
 def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:
     """State a line that lasts and is narrow; None where it is not."""
     brief = float(seen.share[lasting].sum()) < LEAST_STRETCHES
-    if brief or not _narrow(_profile(seen, lasting, middle), 3 * lasting.size):
+    if brief or not narrow(profile(seen, lasting, middle), 3 * lasting.size):
         return None
-    return _stated(sensor, seen, lasting, middle)
+    return stated(sensor, seen, lasting, middle)
 
 
 def _of_one_cause(seen: Stretches, middle: int, pace: float | None) -> NDArray[np.bool_]:
@@ -210,42 +188,6 @@ def _lasting(near: Array) -> Index:
     return np.arange(first, last, dtype=np.int64)
 
 
-def _profile(seen: Stretches, rows: Index, middle: int) -> Array:
-    """Return the power (41,) about a line, summed over stretches, in steps of what each one tells apart."""
-    steps = np.arange(-20, 21)
-    at = middle + np.round(np.outer(seen.wider[rows], steps)).astype(np.int64)
-    within = np.clip(at, 0, seen.f.size - 1)
-    return np.asarray(seen.power[rows[:, None], within].sum(axis=(0, 2)))
-
-
-def _louder_side(seen: Stretches, rows: Index, middle: int) -> Array:
-    """Return the mean power (rows, 3) on the side of a line that is louder in all stretches together.
-
-    At the edge of a band in which something shakes, or where a line that wanders turns, the mean of both
-    sides is half of what is on one.
-    """
-    away = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
-    steps = np.round(np.outer(seen.wider[rows], away)).astype(np.int64)
-    sides = np.stack(
-        [
-            seen.power[rows[:, None], np.clip(middle + sign * steps, 0, seen.f.size - 1)].mean(axis=1)
-            for sign in (-1, 1)
-        ]
-    )
-    louder = sides.sum(axis=1).argmax(axis=0)
-    return np.asarray(np.where(louder == 0, sides[0], sides[1]))
-
-
-def _narrow(profile: Array, count: int) -> bool:
-    """Whether the power (41,), a sum of `count` powers, falls off within three bins, as a taper's."""
-    middle = profile.size // 2
-    away = np.abs(np.arange(profile.size) - middle)
-    floor = float(np.median(profile[away > 12]))
-    flank = profile[(away >= 4) & (away <= 6)]
-    chance = FLANK_SIGMAS * floor * float(np.sqrt(NEIGHBOURS / INDEPENDENT / count / flank.size))
-    return float(flank.mean()) - floor - chance < FLANK * (float(profile[away <= 1].mean()) - floor)
-
-
 def _pace(seen: Stretches, rows: Index, middle: int) -> float | None:
     """Return the pace of a heart or of steps, in frequencies, that a line is an overtone of; None without.
 
@@ -265,99 +207,3 @@ def _pace(seen: Stretches, rows: Index, middle: int) -> float | None:
         if all(p > CONTRAST * floor[j] and p > 0.5 * line for p, j in zip(tops, lower, strict=True)):
             return pace
     return None
-
-
-def _amplitudes(seen: Stretches, rows: Index, f: Array) -> Array:
-    """Return complex amplitudes (rows, f, 3) of sines by the stamps, tapered."""
-    out = np.empty((rows.size, f.size, 3), dtype=np.complex128)
-    for i, row in enumerate(rows):
-        out[i] = np.exp(-2j * np.pi * np.outer(f, seen.t[row])) @ seen.tapered[row]
-    return np.asarray(out * seen.to_amplitude[rows, None, None])
-
-
-def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]:
-    """Return frequency and standard error from the power about a bin, the error from fifths left out."""
-    few = rows[np.linspace(0, rows.size - 1, min(rows.size, MOST_REFINED)).astype(int)]
-    step = float(seen.f[1])
-    grid = seen.f[middle] + np.arange(-1.5, 1.5 + FINE, FINE) * step
-    power = (np.abs(_amplitudes(seen, few, grid)) ** 2).sum(axis=2)
-    fold = blocks(len(power))
-    best = _peak(grid, power.sum(axis=0))
-    parts = np.array([_peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
-    n = parts.size
-    error = STUDENT * float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
-    return best, float(np.hypot(error, max(CLOCK * best, 2e-3 * step)))
-
-
-def _peak(grid: Array, power: Array) -> float:
-    k = int(np.clip(np.argmax(power), 1, grid.size - 2))
-    a, b, c = power[k - 1 : k + 2]
-    bend = a - 2.0 * b + c
-    return float(
-        grid[k] + (0.0 if bend >= 0.0 else np.clip(0.5 * (a - c) / bend, -1, 1)) * (grid[1] - grid[0])
-    )
-
-
-def _stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
-    frequency, error = _frequency(seen, rows, middle)
-    line = np.abs(_amplitudes(seen, rows, np.array([frequency]))[:, 0]) ** 2
-    noise = seen.to_amplitude[rows, None] ** 2 * _louder_side(seen, rows, middle)
-    power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
-    amplitude = np.sqrt(np.maximum(power, 0.0))
-    scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
-    axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
-    evidence = _seen(line, noise, seen.f.size)
-    half = NORMAL_95 * error
-    start, end = _lasts(seen, rows)
-    parameters = {
-        "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
-        "amplitude": vector(amplitude, scatter, UNIT[sensor]),
-        "fraction": _fraction(seen, start, end),
-    }
-    where = Where(start, end, (frequency - half, frequency + half), "time")
-    rate = 2.0 * float(seen.f[-1])
-    vibration = "Vibration" if (start, end) == seen.whole else f"From {start:.0f} to {end:.0f} s: vibration"
-    sizes = ", ".join(f"{AXES[a]} {amplitude[a]:.3g}" for a in axes)
-    say = (
-        f"{vibration} at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"
-        f" {sizes} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
-        f" {rate + frequency:.1f} Hz)."
-    )
-    return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
-
-
-def _lasts(seen: Stretches, rows: Index) -> tuple[float, float]:
-    """Return when a line begins and ends, s: with the recording where no stretch is without it there."""
-    first, last = int(rows[0]), int(rows[-1])
-    start = seen.whole[0] if first == 0 else float(seen.span[first, 0])
-    end = seen.whole[1] if last == len(seen.span) - 1 else float(seen.span[last, 1])
-    return start, end
-
-
-def _fraction(seen: Stretches, start: float, end: float) -> Parameter:
-    """Return the part of the recording from `start` to `end`, s: either moment lies anywhere in a stretch."""
-    whole = max(seen.whole[1] - seen.whole[0], end - start)
-    part = (end - start) / whole
-    error = EITHER_END * float(np.median(seen.span[:, 1] - seen.span[:, 0])) / whole
-    return Parameter(part, [part - NORMAL_95 * error, min(part + NORMAL_95 * error, 1.0)], "1")
-
-
-def _seen(line: Array, noise: Array, frequencies: int) -> Seen:
-    """Return what powers (S, 3) say of a line: exponential about the noise, or about more, axis by axis.
-
-    frequencies: how many were looked at. Powers of stretches left out are predicted by the others.
-    """
-    floor = np.maximum(noise.mean(axis=0), 1e-300)
-    ratio = line / floor
-    fold, gain = blocks(len(ratio)), 0.0
-    before, after = [], []
-    for k in np.unique(fold):
-        test, more = ratio[fold == k], np.maximum(ratio[fold != k].mean(axis=0), 1.0)
-        gain += float((test - test / more - np.log(more)).sum())
-        seen = np.sqrt(line[fold == k])
-        before.append(rms(seen))
-        after.append(rms(seen - np.sqrt(line[fold != k].mean(axis=0))))
-    more = np.maximum(ratio.mean(axis=0), 1.0)
-    whole = float(len(ratio) * (more - 1.0 - np.log(more)).sum())
-    held_out = HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
-    return Seen(of_fit(whole, 3.0, float(len(ratio)), float(frequencies)), held_out)
