@@ -370,6 +370,16 @@ def qualified(names: Sequence[str], container: str) -> list[str]:
     return longer if find_axes(longer) else list(names)
 
 
+def named_after(names: Sequence[str], sensor: str, container: str) -> list[str] | None:
+    """Return names of which x, y, z are called after a sensor, as where only its owner knows which it is.
+
+    None where others name axes, or what holds them (a file's name) is called after something else.
+    """
+    longer = [f"{sensor}.{name}" if name.strip().lower() in ("x", "y", "z") else name for name in names]
+    else_called = not find_axes(qualified(("x", "y", "z"), f"{container}.{sensor}"))
+    return None if find_axes(names) or not find_axes(longer) or else_called else longer
+
+
 def rates_alone(names: Sequence[str]) -> bool:
     """Whether columns hold a gyroscope and not even one axis of an accelerometer."""
     if any((axis := _axis_of(name)) and axis.sensor is Sensor.ACCELEROMETER for name in names):

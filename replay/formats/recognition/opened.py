@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,11 +23,19 @@ from stillcal.replay.formats.logs.sample_folder import sample_folder, sample_mem
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
-from stillcal.replay.formats.recognition.names import OWN, is_own, qualified, rates_alone, without_gravity
+from stillcal.replay.formats.recognition.names import (
+    OWN,
+    find_axes,
+    is_own,
+    named_after,
+    qualified,
+    rates_alone,
+    without_gravity,
+)
 from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import refuse_devices_in_turn, sensors_of_rows
-from stillcal.replay.formats.recognition.settle import OneSensor, settled, settled_apart
+from stillcal.replay.formats.recognition.settle import OneSensor, measures_gravity, settled, settled_apart
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
     GNSS_LOGGER,
@@ -271,7 +280,7 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
     Raises TraceError where it cannot be read, or holds a gyroscope alone.
     """
     rates, said = _rates_of(source, gyro)
-    sensors = settled(own.table, own.column_map, own.rate_hz, rates)
+    sensors = settled(own.table, own.column_map, own.rate_hz, rates) or _by_gravity(source, own, rates)
     if sensors:
         return Log(source.path, kind, sensors, said, beside=source.local)
     free = without_gravity(own.table.names or [])
@@ -282,6 +291,17 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
     if rates_alone(own.table.names or []):
         raise GyroscopeAloneError(source.path)
     return None
+
+
+def _by_gravity(source: Source, own: OneSensor, rates: OneSensor | None) -> list[LoggedSensor]:
+    """Return the accelerometer that gravity shows columns x, y, z to be, where nothing names them."""
+    table = copy(own.table)
+    table.names = named_after(own.table.names or [], "accelerometer", _container(source))
+    if table.names is None or not measures_gravity(table, find_axes(table.names)[0]):
+        return []
+    said = f"{source.path.name}: x, y, z are an accelerometer's by the size of gravity; nothing names them"
+    found = settled(table, own.column_map, own.rate_hz, rates)
+    return [replace(sensor, notes=(said, *sensor.notes)) for sensor in found]
 
 
 def _one_sensor(source: Source) -> OneSensor:
@@ -335,6 +355,8 @@ def _rates_of(source: Source, gyro: Source | None) -> tuple[OneSensor | None, li
         if gyro is not None:
             raise
         return None, [f"{given.path.name}: holds a header and no samples; read without a gyroscope"]
+    if gyro is not None:
+        rates.table.names = named_after(rates.table.names or [], "gyroscope", "") or rates.table.names
     return (rates if gyro is not None or rates_alone(rates.table.names or []) else None), []
 
 

@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.axes import turnings
 from stillcal.replay.formats.checks.units import shown_unit
@@ -54,6 +55,9 @@ from stillcal.replay.formats.tables.table import EMPTY, Table
 
 _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 """Sizes of the median acceleration for each unit: gravity, with room for bias, scale and motion."""
+
+_LIKE_GRAVITY = 0.05
+"""Share by which the median acceleration of a phone that rests now and then differs from gravity at most."""
 
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
@@ -506,6 +510,18 @@ def _known(path: Path, axes: Axes) -> str | None:
         'say in a column map how many make one SI unit: unit = "counts", counts_per_unit (docs/formats.md)'
     )
     raise TraceError(path, what, remedy)
+
+
+def measures_gravity(table: Table, axes: Axes) -> bool:
+    """Whether columns of an unknown kind are an accelerometer's: of gravity's size, as positions rarely are.
+
+    Raises TraceError where they hold no numbers.
+    """
+    probe = _Probe(table)
+    norms = probe.norms(axes)
+    typical = float(np.median(norms)) if norms.size else 0.0
+    like = any(abs(typical / one - 1) < _LIKE_GRAVITY for one in (STANDARD, 1.0, 1000.0))
+    return like and probe.keeps_its_direction(axes)
 
 
 def _gravity_unit(norms: Array) -> str | None:

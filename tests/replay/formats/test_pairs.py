@@ -77,6 +77,31 @@ def test_two_files_of_one_recording_are_read_together(
     assert_pair(read_all(folder if given == "folder" else folder / first, gyro=gyro))
 
 
+@pytest.mark.parametrize("header", ["Timestamp,X,Y,Z", "time,x,y,z"])
+def test_axes_that_nothing_names_are_an_accelerometers_where_they_measure_gravity(
+    tmp_path: Path, header: str
+) -> None:
+    """MATLAB's writetimetable gives the timetables of a phone's sensors that MATLAB Mobile logs so."""
+    (tmp_path / "walk.csv").write_text(force(header))
+    (tmp_path / "turns.csv").write_text(rates(header))
+    recording = read_all(tmp_path / "walk.csv", gyro=tmp_path / "turns.csv")
+    assert_pair(recording)
+    assert any(
+        "walk.csv: x, y, z are an accelerometer's by the size of gravity" in n for n in recording.notes
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("walk.csv", 1.1), ("Gravity.csv", 1.0), ("mag_field.csv", 1.0)]
+)
+def test_axes_that_may_be_something_else_are_not_taken_for_an_accelerometers(
+    tmp_path: Path, name: str, factor: float
+) -> None:
+    (tmp_path / name).write_text(text("Timestamp,X,Y,Z", DATA[:, :4] * [1, factor, factor, factor]))
+    with pytest.raises(TraceError, match=r":1: no accelerometer found by its names; .*: Timestamp, X, Y, Z"):
+        read_all(tmp_path / name)
+
+
 def several(words: list[str], sensor: str, columns: np.ndarray) -> str:
     """Return a table of one sensor's columns for each word; those of "right" are multiplied by -1."""
     header = ",".join(["t", *(f"{word}_{sensor}_{axis}" for word in words for axis in "xyz")])

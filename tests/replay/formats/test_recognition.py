@@ -180,6 +180,7 @@ SHIMMER = "\n".join(
     )
 )
 OWN = "t,ax,ay,az,gx,gy,gz"
+OPENSIM = "walk\nversion=1\nnRows=2000\nnColumns=7\ninDegrees=no\nendheader\n"
 PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
 
 
@@ -193,6 +194,7 @@ PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
         text(f"# {OWN.replace(',', ' ')}", LONG, " "),
         text(f"sep=,\nDevice:,left\n\n{OWN}", LONG),
         text(f"Device:,left,,,,,\nRange:,4 g,,,,,\n{OWN}", LONG),  # as a spreadsheet fills short lines
+        text(OPENSIM + OWN.replace(",", "\t"), LONG, "\t"),
         text(PREAMBLE + OWN.replace(",", "\t"), LONG, "\t"),
         text("t,ax,ay,az,gx,gy,gz\nms,g,g,g,deg/s,deg/s,deg/s", LONG * IN_OTHER_UNITS),
         text(SHIMMER, LONG * IN_OTHER_UNITS, "\t"),
