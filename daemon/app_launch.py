@@ -19,6 +19,7 @@ from stillcal.daemon.settings import (
 from stillcal.daemon.sources.base import SerialSettings
 from stillcal.daemon.sources.sysfs import DEVICES
 from stillcal.daemon.store.store import StoreSettings
+from stillcal.daemon.system.printable import is_utf8
 
 Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings, PublishSettings)
 
@@ -63,10 +64,8 @@ class LaunchOptions:
     def _refuse_odd_bytes(self) -> None:
         """Raise SettingsError where an option is no UTF-8: it could be neither answered nor stored."""
         for option in (self.port, self.store, self.socket, self.socket_group, *self.publish):
-            try:
-                (option or "").encode()
-            except UnicodeEncodeError:
-                raise SettingsError(f"{option!a}: is no UTF-8 text: give another name") from None
+            if not is_utf8(option or ""):
+                raise SettingsError(f"{option!a}: is no UTF-8 text: give another name")
 
 
 def serial_settings(settings: Settings) -> SerialSettings:

@@ -16,6 +16,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.settings import SettingsError
 from stillcal.daemon.store.atomic import write_atomically
 from stillcal.daemon.system.files import make_folder
+from stillcal.daemon.system.printable import is_utf8
 from stillcal.daemon.varlink.socket import group_id
 
 SHIPPED = "/usr/local/bin/stillcal"
@@ -39,8 +40,8 @@ DEFAULT_PORT = "/dev/ttyACM0"
 UNREACHABLE = {"ProtectHome": ("/home", "/root", "/run/user"), "PrivateTmp": ("/tmp", "/var/tmp")}
 """Settings of the unit, and the folders that they hide from the service."""
 
-UNRUNNABLE = re.compile(r"[\x00-\x1f\x7f\"'\\\ud800-\udfff]")
-"""What systemd refuses in the path of a command, also within quotes; the last are bytes that are no UTF-8."""
+UNRUNNABLE = re.compile(r"[\x00-\x1f\x7f\"'\\]")
+"""What systemd refuses in the path of a command, also within quotes."""
 
 SETTINGS = Path("etc/stillcal/stillcal.toml")
 
@@ -109,12 +110,12 @@ def files(port: str, iio: bool = False, socket_group: str = "dialout") -> Iterat
 
 def _refuse_odd_names(port: str | None) -> None:
     """Raise UsageError where systemd would not run this command, or no settings file can hold the port."""
-    if UNRUNNABLE.search(_command()):
+    if UNRUNNABLE.search(_command()) or not is_utf8(_command()):
         raise click.UsageError(
             f"{_command()!a}: systemd runs no command whose path has a quote, a backslash, "
             "a control character or bytes that are no UTF-8: install stillcal in a folder without them"
         )
-    if re.search(r"[\ud800-\udfff]", port or ""):
+    if not is_utf8(port or ""):
         raise click.UsageError(f"--port {port!a}: is no UTF-8 text: give another name")
 
 

@@ -20,7 +20,7 @@ from stillcal.daemon.cli.answer_text import lines
 from stillcal.daemon.cli.exits import BAD_INPUT, NO_DAEMON, REFUSED, TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import socket_option
-from stillcal.daemon.system.printable import printable
+from stillcal.daemon.system.printable import is_utf8, printable
 from stillcal.daemon.system.requirements import LOCAL_SOCKET, require
 from stillcal.daemon.varlink.address import NAME, answering_path
 
@@ -32,6 +32,9 @@ STREAMS = ("Monitor", "Record", "Stream")
 
 SIGNS = {"?": "? may be left out", "[]": "[] is a list", "[][]": "[][] a list of lists"}
 """What the signs of Varlink's types mean."""
+
+NO_METHOD = ("MethodNotFound", "InterfaceNotFound", "ProtocolViolation")
+"""Errors of a question whose method is not there; the last one where its name can be none of a method."""
 
 TEXTS = ("to", "sensor")
 """Parameters that are texts, also where they look like a number, as a calibration's id may."""
@@ -75,6 +78,9 @@ def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: 
     refused by the daemon, 2 bad input, 3 no calibration yet, 4 no daemon.
     """
     where = answering_path(path)
+    for word in (method, *parameters):
+        if not is_utf8(word):
+            raise click.UsageError(f"{word!a}: is no UTF-8 text")
     try:
         question = _question(method, parameters)
         for reply in replies(where, question):
@@ -156,19 +162,17 @@ def _value(text: str) -> Any:
         return text
 
 
-def _shape(where: Path, method: str) -> str:
-    """Return how a method of the daemon is called, from its own description; empty for another's method."""
+def _methods(where: Path) -> dict[str, str]:
+    """Return how each method of the daemon is called, by its name, from the daemon's own description."""
     asked = {
         "method": "org.varlink.service.GetInterfaceDescription",
         "parameters": {"interface": NAME},
     }
-    wanted = f"method {method.removeprefix(f'{NAME}.')}("
-    for reply in replies(where, asked):
-        description = str((reply.get("parameters") or {}).get("description", ""))
-        for line in description.splitlines():
-            if line.startswith(wanted):
-                return line.removeprefix("method ").partition(" -> ")[0]
-    return ""
+    reply = next(replies(where, asked))
+    description = str((reply.get("parameters") or {}).get("description", ""))
+    lines_of_methods = (line for line in description.splitlines() if line.startswith("method "))
+    calls = [line.removeprefix("method ").partition(" -> ")[0] for line in lines_of_methods]
+    return {call.partition("(")[0]: call for call in calls}
 
 
 def _misfit(name: str, given: dict[str, Any], shape: str) -> str:
@@ -188,11 +192,13 @@ def _exit_with_error(
     error: str, parameters: dict[str, Any], where: Path, question: Mapping[str, Any]
 ) -> None:
     """Print in one line why the daemon refused, and exit with the code for it."""
-    name = error.rpartition(".")[2]
-    if name == "MethodNotFound":
-        method = parameters.get("method", "")
-        raise click.UsageError(printable(f"no method {method}: `stillcal query --help` lists the methods"))
-    if name == "InvalidParameter" and (shape := _shape(where, question["method"])):
+    name, method = error.rpartition(".")[2], question["method"].removeprefix(f"{NAME}.")
+    if name in NO_METHOD:
+        known = ", ".join(_methods(where))
+        raise click.UsageError(
+            printable(f"no method {method!r}: give one of {known}, or another's full name")
+        )
+    if name == "InvalidParameter" and (shape := _methods(where).get(method)):
         wrong = str(parameters.get("parameter", "a parameter"))
         raise click.UsageError(printable(_misfit(wrong, question["parameters"], shape)))
     missing = ", ".join(parameters.get("missing") or [])

@@ -8,6 +8,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from stillcal.daemon.cli.answer_text import MOST_ROWS, lines
 from tests.support.asking import STILLCAL, stored
 from tests.support.living import answering, within_reason
@@ -51,6 +53,32 @@ def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, ma
             assert "[][] a list of lists" in said.stderr
 
     within_reason(test())
+
+
+@pytest.mark.parametrize(
+    "method",
+    ["", ".", "a.b.c", "a.b.C", "getStatus", "GetStatu", "Get Status", "io.stillcal.Calibration.X", "ä"],
+)
+def test_a_method_that_is_not_there_is_bad_input_and_those_that_are_are_named(
+    folder: Path, method: str
+) -> None:
+    async def test() -> None:
+        async with answering(folder):
+            command = [STILLCAL, "query", method, "--socket", str(folder / "socket")]
+            said = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True)
+        shown = method.removeprefix("io.stillcal.Calibration.")
+        assert said.returncode == 2 and said.stdout == ""
+        (line,) = said.stderr.splitlines()
+        assert f"no method {shown!r}: give one of Calibrate, Correct, " in line and "Reload" in line
+
+    within_reason(test())
+
+
+@pytest.mark.parametrize("words", [["\udcff"], ["GetHistory", "limit=\udcff"], ["Rollback", "to=\udcff"]])
+def test_a_word_that_is_no_text_is_refused_before_anybody_is_asked(folder: Path, words: list[str]) -> None:
+    command = [STILLCAL, "query", *words, "--socket", str(folder / "none")]
+    said = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (said.returncode, len(said.stderr.splitlines())) == (2, 1) and "is no UTF-8 text" in said.stderr
 
 
 def test_a_table_is_aligned_and_says_what_it_leaves_out() -> None:
