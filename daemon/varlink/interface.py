@@ -19,7 +19,7 @@ from asyncvarlink import (
     varlinkmethod,
     varlinksignature,
 )
-from asyncvarlink.conversion import ObjectVarlinkType, VarlinkType
+from asyncvarlink.conversion import ObjectVarlinkType, SimpleVarlinkType, VarlinkType
 from asyncvarlink.serviceinterface import InvalidParameter, PermissionDenied
 
 from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
@@ -30,7 +30,7 @@ from stillcal.daemon.varlink import types as api
 from stillcal.daemon.varlink import views
 from stillcal.daemon.varlink.address import NAME as INTERFACE
 from stillcal.daemon.varlink.daemon import Daemon
-from stillcal.daemon.varlink.rows import Encoded, Rows
+from stillcal.daemon.varlink.rows import Encoded, Number, Rows
 
 DEFAULT_BATCH_S = 0.02
 """How long the samples of Stream gather unless the caller says otherwise, s."""
@@ -286,6 +286,18 @@ def _with_quick_tables() -> None:
 
 
 _with_quick_tables()
+
+
+def _with_strict_numbers() -> None:
+    """Have true and false refused where a method takes a number."""
+    for method in vars(CalibrationInterface).values():
+        if (signature := varlinksignature(method)) is not None:
+            for kind in signature.parameter_type.traverse():
+                if isinstance(kind, SimpleVarlinkType) and kind.as_type in (int, float):
+                    kind.__class__ = Number
+
+
+_with_strict_numbers()
 
 
 def _rolling_mean(sensor: str, rate_hz: float) -> RollingMean:

@@ -1,4 +1,4 @@
-"""Tables of numbers in questions and answers: checked and converted at once, and bounded before that.
+"""Numbers in questions and answers: tables checked and converted at once, and bounded before that.
 
 asyncvarlink converts a table number by number, at a hundred times the cost. Here a table that is too long is
 refused by its brackets, before any of it becomes a Python object.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 import msgspec
-from asyncvarlink.conversion import ConversionError, VarlinkType
+from asyncvarlink.conversion import ConversionError, SimpleVarlinkType, VarlinkType
 
 MAX_ROWS = 1000
 """Samples that one call corrects; more take more calls."""
@@ -22,6 +22,16 @@ MAX_OBJECTS = 8
 
 _Row = Annotated[list[float], msgspec.Meta(min_length=3, max_length=3)]
 _TABLE = Annotated[list[_Row], msgspec.Meta(max_length=MAX_ROWS)]
+
+
+class Number(SimpleVarlinkType):
+    """A number as varlink's int or float. JSON's true and false are none, although Python's are numbers."""
+
+    def fromjson(self, obj: Any, oobstate: Any = None) -> Any:
+        """Return the number. Raises ConversionError."""
+        if isinstance(obj, bool):
+            raise ConversionError.expected(self.as_varlink, obj)
+        return super().fromjson(obj, oobstate)
 
 
 class Rows(VarlinkType):

@@ -32,7 +32,7 @@ from stillcal.daemon.service.phone_clock import PhoneClock
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.store.store import Store
 from stillcal.replay.trials.faults.kill import example
-from tests.support.asking import NAME, STILLCAL, asked, client, stored
+from tests.support.asking import NAME, STILLCAL, ask, asked, client, connected, stored
 from tests.support.living import answering, until, within_reason
 
 
@@ -92,6 +92,32 @@ def test_a_temperature_that_no_sensor_can_have_is_refused(folder: Path, make_rec
                     await asked(folder, lambda c, b=bad: c.Correct("gyroscope", [[0.0] * 3], b))
             for possible in (-273.15, 1000.0):
                 await asked(folder, lambda c, p=possible: c.GetCalibration(p))
+
+    within_reason(test())
+
+
+@pytest.mark.parametrize(
+    ("method", "given"),
+    [
+        ("GetCalibration", {"temperature_c": True}),
+        ("GetHistory", {"limit": True}),
+        ("GetStillness", {"limit": False}),
+        ("GetEnergy", {"limit": True}),
+        ("Correct", {"sensor": "gyroscope", "samples": [[0, 0, 0]], "temperature_c": False}),
+        ("Correct", {"sensor": "gyroscope", "samples": [[0, 0, 0]], "smooth_hz": True}),
+        ("Correct", {"sensor": "gyroscope", "samples": [[0, 0, True]]}),
+        ("Stream", {"batch_s": True}),
+    ],
+)
+def test_true_and_false_are_no_numbers(
+    folder: Path, make_record: Any, method: str, given: dict[str, Any]
+) -> None:
+    stored(folder, make_record(3))
+
+    async def test() -> None:
+        async with answering(folder):
+            said = await ask(await connected(folder), method, parameters=given, more=method == "Stream")
+            assert said["error"] == "org.varlink.service.InvalidParameter"
 
     within_reason(test())
 
