@@ -100,12 +100,12 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         temperature_c: of the sensor now, for which bias_now and bias_uncertainty_now are returned. Where it
         is not told, it is the thermometer's latest reading.
         """
-        record = self._daemon.view.record
+        celsius, record = _possible(temperature_c), self._daemon.view.record
         if record is None:
             refusal = self._daemon.view.refusal
             reason = refusal.reason if refusal else "too few rests so far"
             raise NotCalibrated(reason=reason, missing=list(refusal.missing) if refusal else [])
-        return views.calibration(record, self._daemon, _possible(temperature_c))
+        return views.calibration(record, self._daemon, celsius)
 
     @varlinkmethod(return_parameter="status")
     def GetStatus(self) -> api.Status:
@@ -149,9 +149,10 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         rate; also remove noise by a rolling mean of 3 to 20 samples, which goes on from this client's
         last call for the sensor. delay_s: how late the samples come because of it.
         """
+        raw, celsius = np.array(samples, dtype=np.float64).reshape(-1, 3), _possible(temperature_c)
+        mean = None if smooth_hz is None else _rolling_mean(sensor, smooth_hz)
         if self._daemon.view.record is None:
             raise NotCalibrated(reason="no calibration yet", missing=[])
-        raw, celsius = np.array(samples, dtype=np.float64).reshape(-1, 3), _possible(temperature_c)
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # refused below
                 corrected = views.corrected(self._daemon, Sensor(sensor), raw, celsius, force)
@@ -161,9 +162,8 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise InvalidParameter(parameter="force") from None
         if not np.isfinite(corrected).all():
             raise InvalidParameter(parameter="samples")
-        if smooth_hz is None:
+        if mean is None:
             return {"samples": corrected.tolist(), "delay_s": None}
-        mean = _rolling_mean(sensor, smooth_hz)
         return {"samples": mean.smoothed(corrected).tolist(), "delay_s": mean.delay_s}
 
     @varlinkmethod(return_parameter="event", delay_generator=False)

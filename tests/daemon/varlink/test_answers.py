@@ -97,6 +97,27 @@ def test_a_temperature_that_no_sensor_can_have_is_refused(folder: Path, make_rec
 
 
 @pytest.mark.parametrize(
+    ("method", "given", "wrong"),
+    [
+        ("GetCalibration", {"temperature_c": -400.0}, "temperature_c"),
+        ("GetCalibration", {"temperature_c": 1e9}, "temperature_c"),
+        ("Correct", {"sensor": "gyroscope", "samples": [], "temperature_c": -400.0}, "temperature_c"),
+        ("Correct", {"sensor": "gyroscope", "samples": [], "smooth_hz": -1.0}, "smooth_hz"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused_also_before_there_is_a_calibration(
+    folder: Path, method: str, given: dict[str, Any], wrong: str
+) -> None:
+    async def test() -> None:
+        async with answering(folder):
+            said = await ask(await connected(folder), method, parameters=given)
+            assert said["error"] == "org.varlink.service.InvalidParameter"
+            assert said["parameters"] == {"parameter": wrong}
+
+    within_reason(test())
+
+
+@pytest.mark.parametrize(
     ("method", "given"),
     [
         ("GetCalibration", {"temperature_c": True}),
