@@ -88,6 +88,7 @@ _NEITHER = {
         "pos",
         "integral",
     ),
+    *("earth", "world", "global"),  # turned into axes that do not turn with the sensor
 }
 FILLERS = {
     "velocity",

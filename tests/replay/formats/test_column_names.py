@@ -54,6 +54,16 @@ def test_angles_and_wanted_rates_are_no_gyroscope(tmp_path: Path, angles: str) -
     assert read(tmp_path, f"t,ax,ay,az,{angles}", DATA[:, 0], FORCE, RATE).gyroscope is None
 
 
+@pytest.mark.parametrize("frame", ["earth", "world", "global"])
+def test_acceleration_in_axes_of_the_earth_is_no_sensors(tmp_path: Path, frame: str) -> None:
+    turned = ",".join(f"acc_{frame}_{axis}" for axis in "xyz")
+    level = np.tile([0.0, 0.0, 9.81], (len(DATA), 1))
+    header = f"time,{turned},acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z"
+    assert_read(read(tmp_path, header, DATA[:, 0], level, FORCE, RATE))
+    with pytest.raises(TraceError, match="no accelerometer found by its names"):
+        read(tmp_path, f"time,{turned}", DATA[:, 0], level)
+
+
 def test_a_gyroscope_goes_before_body_rates(tmp_path: Path) -> None:
     header = "time,p,q,r,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z"
     assert_read(read(tmp_path, header, DATA[:, 0], RATE * 0.9, FORCE, RATE))
