@@ -374,11 +374,14 @@ def qualified(names: Sequence[str], container: str) -> list[str]:
 def named_after(names: Sequence[str], sensor: str, container: str) -> list[str] | None:
     """Return names of which x, y, z are called after a sensor, as where only its owner knows which it is.
 
-    None where others name axes, or what holds them (a file's name) is called after something else.
+    None where others name axes or there are several x, or what holds them (a file's name) is called after
+    something else.
     """
-    longer = [f"{sensor}.{name}" if name.strip().lower() in ("x", "y", "z") else name for name in names]
+    bare = [name for name in names if name.strip().lower() in {"x", "y", "z"}]
+    longer = [f"{sensor}.{name}" if name in bare else name for name in names]
     else_called = not find_axes(qualified(("x", "y", "z"), f"{container}.{sensor}"))
-    return None if find_axes(names) or not find_axes(longer) or else_called else longer
+    fits = len(bare) == 3 and not find_axes(names) and bool(find_axes(longer)) and not else_called
+    return longer if fits else None
 
 
 def rates_alone(names: Sequence[str]) -> bool:
