@@ -92,8 +92,10 @@ def test_axes_that_nothing_names_are_an_accelerometers_where_they_measure_gravit
 
 
 def test_axes_that_nothing_names_are_those_of_one_sensor(tmp_path: Path) -> None:
-    (tmp_path / "walk.csv").write_text(text("t,x,y,z,x,y,z", DATA))
-    with pytest.raises(TraceError, match=r":1: no accelerometer found by its names; .*: t, x, y, z, x, y, z"):
+    (tmp_path / "walk.csv").write_text(text("time,x,y,z,x,y,z", DATA))
+    with pytest.raises(
+        TraceError, match=r":1: no accelerometer found by its names; .*: time, x, y, z, x, y, z"
+    ):
         read_all(tmp_path / "walk.csv")
 
 
