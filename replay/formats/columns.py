@@ -127,7 +127,7 @@ class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     delimiter: one character, "space" for runs of blanks, or "auto" (the header's own: comma,
     semicolon or tab). header: names stand in the first line after skip_lines; lines_after_header, of units or
-    the like, follow it. decimal: the decimal mark, or "auto": a comma where the first row's cells hold one.
+    the like, follow it. decimal: the decimal mark, or "auto": a comma where the first rows' numbers hold it.
     reorder: rows by which a stamp may stand too late and is put back. repeats: what to do with a stamp equal
     to the one before: "drop" the sample, "keep" it, or "refuse" the file.
     """

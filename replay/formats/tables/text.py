@@ -92,7 +92,7 @@ class TextTable:
         self.opening = [self._cells(row) for row in rows[:OPENING_ROWS]]
         if self.names is not None:
             self.names = _as_wide_as(self.first_row, self.names)
-        self.decimal = _decimal(self.first_row, "auto" if self.delimiter == "," else column_map.decimal)
+        self.decimal = _decimal(self.opening, "auto" if self.delimiter == "," else column_map.decimal)
         self.header_line: int | None = column_map.skip_lines + 1
         self.width = len(self.names) if self.names is not None else len(self.first_row)
 
@@ -383,11 +383,11 @@ def _decoded(path: Path, head: bytes) -> str:
         raise TraceError(path, f"byte 0x{head[error.start]:02x} is not UTF-8", _TEXT_REMEDY, row) from None
 
 
-def _decimal(first_row: Sequence[str], decimal: str) -> str:
-    """Return the decimal mark, found in a row's cells where it is "auto"."""
+def _decimal(rows: Sequence[Sequence[str]], decimal: str) -> str:
+    """Return the decimal mark, found in the cells of rows where it is "auto"."""
     if decimal != "auto":
         return decimal
-    with_comma = (cell.replace(",", ".").encode() for cell in first_row if "," in cell)
+    with_comma = (cell.replace(",", ".").encode() for row in rows for cell in row if "," in cell)
     return "," if any(is_number(cell) or is_date(cell) for cell in with_comma) else "."
 
 

@@ -107,6 +107,15 @@ def test_commas_that_may_be_decimal_marks_stay(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_all(path).accelerometer.xyz, force, atol=6e-4)
 
 
+def test_a_first_row_of_whole_numbers_says_nothing_of_decimal_commas(tmp_path: Path) -> None:
+    rows = [
+        ";".join(f"{v:.4f}".replace(".", ",") for v in (t / 1000, *a)) for t, a in zip(MS, FORCE, strict=True)
+    ]
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(["t (s);ax;ay;az", "0;0;0;10", *rows]) + "\n")
+    np.testing.assert_array_equal(read_all(path).accelerometer.xyz[1:], FORCE)
+
+
 def test_whole_thousands_among_other_numbers_are_not_taken_for_decimals(tmp_path: Path) -> None:
     table = "t,acc_x,acc_y,acc_z\n" + "".join(
         f"{i / 100},0.5,1.5,{c}\n" for i, c in enumerate(["998"] * 9000 + ['"1,006"'] * 10)
