@@ -28,6 +28,9 @@ def own_map(folder: Path, text: str) -> Path:
     return path
 
 
+PAGE = (Path(__file__).parents[3] / "docs" / "formats.md").read_text()
+
+
 def table(path: Path, header: str, rows: int, line: str) -> Path:
     """Write a log whose line i is `line` with {i} and {s} (i hundredths of a second) filled in."""
     head = header + "\n" if header else ""
@@ -38,13 +41,15 @@ def table(path: Path, header: str, rows: int, line: str) -> Path:
 def test_the_formats_of_the_contract_are_there_and_valid() -> None:
     contract = {"csv", "hhar", "imu_tk", "imucal", "mikoff", "phyphox", "sensorlogger"}
     assert contract <= set(builtin_formats())
-    for name in builtin_formats():
-        assert load_map(name).description
+
+
+def test_the_table_of_formats_in_the_docs_has_their_descriptions() -> None:
+    rows = [f"| `{name}` | {load_map(name).description} |" for name in builtin_formats()]
+    assert "| `--format` | what |\n|---|---|\n" + "\n".join(rows) + "\n\n" in PAGE
 
 
 def test_the_map_printed_in_the_docs_is_valid() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text()
-    example = page.split("```toml\n")[1].split("```")[0]
+    example = PAGE.split("```toml\n")[1].split("```")[0]
     assert parse_map(example.encode(), Path("example.toml")).time.unit == "ms"
 
 
