@@ -22,7 +22,14 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, SensorReco
 from stillcal.calib_core.calibration.terms import BY_CHARGING, lag_of, with_terms
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
-from stillcal.daemon.store.document import HistoryEntry, StoreDocument, calibration_json, differences, parse
+from stillcal.daemon.store.document import (
+    HistoryEntry,
+    StoreDocument,
+    StoreFormatError,
+    calibration_json,
+    differences,
+    parse,
+)
 from stillcal.daemon.store.files import MAX_BYTES, STANDARD_INPUT, Reading, existing, read_standard_input
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system.files import read_regular
@@ -172,7 +179,7 @@ def repair(path: Path, source: Path | None, accepted: bool) -> None:
     checksum; what lay at PATH is set aside.
     """
     with _one_line():
-        document, _ = parse(_contents(source or existing(path)), trusted=True)
+        document = _approved(source or existing(path))
         with Store(path) as store:
             changes = differences(store.load_if_any() or StoreDocument(), document)
             for change in changes[:MOST_CHANGES]:
@@ -188,11 +195,14 @@ def repair(path: Path, source: Path | None, accepted: bool) -> None:
                 click.echo(f"{path}: nothing is changed yet; take it with --yes")
 
 
-def _contents(path: Path) -> bytes:
+def _approved(path: Path) -> StoreDocument:
+    """Read a store whose checksum need not match. Raises ValueError, which says what to give instead."""
     try:
-        return read_regular(path, MAX_BYTES)
-    except OSError as error:
-        raise ValueError(f"{path}: {error.strerror}") from error
+        return parse(read_regular(path, MAX_BYTES), trusted=True)[0]
+    except (OSError, StoreFormatError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        remedy = "with --from, give a file that stillcal wrote, such as the store's .last-good"
+        raise ValueError(f"{path} cannot be taken as a store ({why}): {remedy}") from error
 
 
 @store_group.command(

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import errno
 import os
+import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -105,8 +106,9 @@ class Store:
     def lock(self) -> None:
         """Become the store's only writer until `close`, and again where the lock was removed meanwhile.
 
-        Raises StoreLockedError where somebody else is.
+        Raises StoreLockedError where somebody else is, and StoreError where no store can be at the path.
         """
+        self._refuse_irregular()
         with self._explaining():
             if self._lock is not None and not is_locked_by(self._lock, self._lock_path):
                 self.close()  # somebody has removed it: take it anew before somebody else does
@@ -155,10 +157,19 @@ class Store:
 
         Raises StoreError where something else than a file lies at the store's path, or it cannot be read.
         """
-        found = Verification(read(self.path), read(self.last_good_path))
-        if not found.store.regular:
-            raise StoreError(f"{self.path} cannot be a store: {found.store.problem}: give another path")
-        return found
+        self._refuse_irregular()
+        return Verification(read(self.path), read(self.last_good_path))
+
+    def _refuse_irregular(self) -> None:
+        """Raise StoreError where something else than a file lies at the store's path."""
+        try:
+            found = self.path.stat()
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise store_error(error, self.path, "read") from error
+        if not stat.S_ISREG(found.st_mode):
+            raise StoreError(f"{self.path} cannot be a store: not a regular file: give another path")
 
     def history(self) -> tuple[HistoryEntry, ...]:
         """Return the earlier and the rejected calibrations, oldest first."""

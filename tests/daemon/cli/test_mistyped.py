@@ -247,11 +247,26 @@ def test_a_store_that_was_set_aside_is_brought_back(path: Path, make_record: Any
     assert Store(path).load().current.id == make_record(9).id  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("bad", [b"{", b'{"schema": 1}', b"\xff"])
+@pytest.mark.parametrize("bad", [b"", b"{", b'{"schema": 1}', b"\xff"])
 def test_what_no_edit_makes_a_store_is_refused(path: Path, bad: bytes) -> None:
     path.write_bytes(bad)
     result = run("repair", path, "--yes")
     assert result.exit_code == 2 and path.read_bytes() == bad
+    (line,) = result.output.splitlines()
+    assert f"{path} cannot be taken as a store" in line and "with --from, give" in line
+
+
+@pytest.mark.parametrize("verb", ["show", "history", "rollback", "verify", "repair", "adopt-terms"])
+@pytest.mark.parametrize("make", [Path.mkdir, os.mkfifo], ids=["folder", "fifo"])
+def test_what_is_no_file_is_no_store_and_nothing_is_left_beside_it(
+    tmp_path: Path, make: Callable[[Path], None], verb: str
+) -> None:
+    odd = tmp_path / "odd"
+    make(odd)
+    result = run(verb, odd, *(["x.json"] if verb == "adopt-terms" else []))
+    (line,) = result.output.splitlines()
+    assert result.exit_code == 2 and str(odd) in line and "not a regular file" in line
+    assert list(tmp_path.iterdir()) == [odd]
 
 
 def test_differences_name_every_value_once(make_record: Any) -> None:
