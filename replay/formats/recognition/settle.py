@@ -396,8 +396,7 @@ def _time(
     for choice in [*stamps, *dated]:
         found = _in_column(table, probe, choice)
         if isinstance(found, TimeMap):
-            kind = kind_of_dates(_first_cell(table, choice.column)) if found.unit == "date" else found.unit
-            return found, f"time {choice.column} in {kind}"
+            return found, f"time {choice.column} in {_kind_of_time(table, probe, choice, found)}"
         unusable = unusable or found
     if rate_hz is not None:
         return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
@@ -405,6 +404,16 @@ def _time(
         raise unusable
     what = "no column of time stamps found"
     raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
+
+
+def _kind_of_time(table: Table, probe: _Probe, choice: Stamps, found: TimeMap) -> str:
+    """Return what is said of the times in a column: the rate too where only their steps show the unit."""
+    if found.unit == "date":
+        return kind_of_dates(_first_cell(table, choice.column))
+    if choice.unit is not None:
+        return found.unit
+    step = _step(probe.column(choice.column)) * (TIME_UNITS | LONG_TIME_UNITS)[found.unit]
+    return f"{found.unit} (by its steps, {1 / step:.3g} Hz)"
 
 
 def _in_column(table: Table, probe: _Probe, choice: Stamps) -> TimeMap | TraceError | None:

@@ -46,6 +46,7 @@ def texts(values: np.ndarray, form: str = ".9f") -> list[str]:
 def test_the_unit_of_times(tmp_path: Path, name: str, stamps: list[str], step: float) -> None:
     recording = read(tmp_path, {name: stamps})
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), step, rtol=2e-3)
+    assert (f"(by its steps, {1 / step:.3g} Hz)" in recording.notes[0]) == ("(" not in name)
 
 
 @pytest.mark.parametrize(
