@@ -98,7 +98,8 @@ def load(path: Path) -> Loaded:
     except (StateError, NotRegularError, TooLargeError) as error:
         aside = _free(path)
         path.replace(aside)
-        return Loaded(note=f"{path}: {error}; moved to {aside.name}; rests are collected again from scratch")
+        why = error.strerror if isinstance(error, OSError) else error
+        return Loaded(note=f"{path}: {why}; moved to {aside.name}; rests are collected again from scratch")
 
 
 def save(path: Path, data: bytes) -> None:

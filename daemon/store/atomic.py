@@ -11,7 +11,7 @@ import errno
 import os
 from pathlib import Path
 
-from stillcal.daemon.system.files import flags
+from stillcal.daemon.system.files import flags, naming
 
 SAFE = flags("O_CLOEXEC", "O_NOFOLLOW", "O_BINARY")
 """For files that are written: no child inherits them, no link stands in for them, no line end is changed."""
@@ -37,8 +37,9 @@ def write_atomically(path: Path, data: bytes, mode: int = 0o644) -> None:
         raise OSError(errno.EINVAL, "is no regular file and is not replaced", str(path))
     temporary = path.with_name(path.name + ".tmp")
     try:
-        _write_synced(temporary, data, mode)
-        temporary.replace(path)
+        with naming(path):
+            _write_synced(temporary, data, mode)
+            temporary.replace(path)
     except BaseException:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

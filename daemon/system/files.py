@@ -6,9 +6,11 @@ reads a file that a person named reads it here.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 
 WRONG_NAME = frozenset(
@@ -44,6 +46,17 @@ class NotRegularError(OSError):
 
 class TooLargeError(OSError):
     """The file is larger than what is looked for can be."""
+
+
+@contextlib.contextmanager
+def naming(path: object) -> Iterator[None]:
+    """Name `path` in an OSError of the block that names no file, as that of a full disk does."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
 
 
 def passing(error: OSError) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 import click
 
 from stillcal.daemon.store.atomic import led_to, write_atomically
+from stillcal.daemon.system.files import naming
 from stillcal.replay.formats.claims import beside, written_by_stillcal
 from stillcal.replay.formats.conversion.by_name import ENDINGS
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
@@ -21,10 +22,11 @@ from stillcal.replay.formats.writer import STANDARD_OUTPUT
 def write_output(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, or into a device or a pipe; "-" is standard output."""
     if path == STANDARD_OUTPUT:
-        sys.stdout.buffer.write(data)
-        sys.stdout.buffer.flush()
+        with naming(called(path)):
+            sys.stdout.buffer.write(data)
+            sys.stdout.buffer.flush()
     elif _is_written_into(path):
-        with path.open("wb") as device:
+        with naming(path), path.open("wb") as device:
             device.write(data)
     else:
         write_atomically(path, data)

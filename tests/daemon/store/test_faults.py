@@ -163,6 +163,12 @@ def test_a_folder_that_cannot_be_synced_is_told_apart(tmp_path):
     assert (tmp_path / "file").read_bytes() == b"new"
 
 
+def test_the_file_that_could_not_be_written_is_named(tmp_path):
+    with fsync_failing_at(1), pytest.raises(OSError, match="Input/output error") as refused:
+        write_atomically(tmp_path / "file", b"new")
+    assert refused.value.filename == str(tmp_path / "file")
+
+
 def test_a_file_that_may_not_grow_leaves_the_old_store(path, make_record):
     """A real limit (RLIMIT_FSIZE) in a child process: the kernel refuses the write half-way."""
 

@@ -236,7 +236,7 @@ def test_a_state_that_is_no_file_is_set_aside(path: Path, make: Callable[[Path],
         storage = Storage(Store(path), lambda note: None)
         loaded = storage.open()
         storage.close()
-        assert loaded.state is None and what in loaded.note
+        assert loaded.state is None and loaded.note.startswith(f"{state}: {what}; moved to ")
         assert not os.path.lexists(state) and os.path.lexists(state.with_name(f"store.state.bad-{number}"))
 
 

@@ -109,7 +109,18 @@ def test_a_device_or_a_pipe_is_written_into_and_never_replaced(folder: Path, tmp
     assert said.returncode == 2 or said.returncode == 3, said.stderr
     assert pipe.is_fifo()
     assert table.is_fifo()
-    assert sorted(p.name for p in tmp_path.iterdir() if not p.name.endswith(".lock")) == ["pipe", "pipe.csv"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["pipe", "pipe.csv"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
+def test_an_output_that_is_full_is_named(folder: Path) -> None:
+    command = [STILLCAL, "store", "export", str(folder / "store.json"), "--to", "px4", "--out"]
+    for out, named in (("/dev/full", "/dev/full"), ("-", "standard output")):
+        with Path("/dev/full").open("wb") as full:
+            said = subprocess.run(
+                [*command, out], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+            )
+        assert (said.returncode, said.stderr) == (2, f"stillcal: {named}: No space left on device\n")
 
 
 def test_stages_are_shown_on_a_terminal_with_their_share_and_nowhere_else() -> None:
