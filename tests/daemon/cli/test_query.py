@@ -81,6 +81,21 @@ def test_a_word_that_is_no_text_is_refused_before_anybody_is_asked(folder: Path,
     assert (said.returncode, len(said.stderr.splitlines())) == (2, 1) and "is no UTF-8 text" in said.stderr
 
 
+@pytest.mark.parametrize("verb", [["query"], ["watch", "--once"], ["record", "r.csv"]])
+def test_a_socket_path_that_can_be_none_is_bad_input(tmp_path: Path, verb: list[str]) -> None:
+    (tmp_path / "store.json").write_text("{}")
+    for path, why in (
+        (tmp_path / ("a" * 108), "107 bytes at most: give a shorter one"),
+        (tmp_path / "store.json", "is no socket: give the path of the daemon's"),
+        (tmp_path, "is no socket: give the path of the daemon's"),
+    ):
+        command = [STILLCAL, *verb, "--socket", str(path)]
+        said = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+        assert said.returncode == 2 and said.stdout == ""
+        (line,) = said.stderr.splitlines()
+        assert line.startswith(f"stillcal: {path}: ") and why in line
+
+
 def test_a_table_is_aligned_and_says_what_it_leaves_out() -> None:
     rows = [{"why": "x" * 40, "n": n, "on": None} for n in range(MOST_ROWS + 1)]
     text = list(lines({"rows": rows}))
