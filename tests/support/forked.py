@@ -6,6 +6,7 @@ processes that are started anew.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -99,6 +100,7 @@ def _become(
         sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115 - open as long as the process
         sys.argv = ["stillcal", *map(str, arguments)]
         os.environ |= more
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
         if folder is not None:
             os.chdir(folder)
         main()
@@ -108,6 +110,7 @@ def _become(
     except BaseException:
         traceback.print_exc()
     finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
+        with contextlib.suppress(OSError):  # nobody reads it any more
+            sys.stdout.flush()
+            sys.stderr.flush()
         os._exit(code)

@@ -29,7 +29,7 @@ from stillcal.daemon.service.subscribers import Subscriber, Subscribers
 from stillcal.daemon.settings import SettingsError
 from stillcal.replay.formats.trace import read_all
 from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
-from tests.support.asking import STILLCAL, stored
+from tests.support.asking import STILLCAL, asked, stored
 from tests.support.living import until, within_reason
 
 EPOCH_S = 1.7e9
@@ -231,11 +231,15 @@ def test_a_daemon_that_ends_or_is_killed_leaves_a_file_that_is_read(
         str(folder / "live.mcap"),
     ]
 
+    sent = sum(len(s) for c in lab[:1] for s in (c.accelerometer, c.gyroscope))
+
     async def test() -> None:
         daemon = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
         await until((folder / "socket").exists)
         await serve_phone(lab[:1], {"device": "p"}, LinkSettings(speed=60.0), folder / "tty")
-        await asyncio.sleep(1.0)
+        while (await asked(folder, lambda c: c.GetStatus()["status"]["wire"]["samples"])) < sent:
+            await asyncio.sleep(0.02)
+        await asyncio.sleep(0.5)  # ten times what lies between two flushes
         os.kill(daemon.pid, end)
         said = await asyncio.to_thread(daemon.communicate)
         assert daemon.returncode == (0 if end == signal.SIGTERM else -end), said
@@ -248,8 +252,7 @@ def test_a_daemon_that_ends_or_is_killed_leaves_a_file_that_is_read(
         text=True,
     )
     assert ("did not complete" in shown.stderr) == (end == signal.SIGKILL)
-    sent = [chunk.accelerometer for chunk in lab[:1]]
-    t, xyz = np.concatenate([s.t for s in sent]), np.concatenate([s.xyz for s in sent])
+    t, xyz = (np.concatenate([getattr(c.accelerometer, what) for c in lab[:1]]) for what in ("t", "xyz"))
     for name in ("live.mcap", "whole.mcap"):
         found = read_all(folder / name)
         n = len(found.accelerometer)
