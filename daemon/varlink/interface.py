@@ -26,8 +26,8 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibra
 from stillcal.calib_core.streams import limits
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
+from stillcal.daemon.varlink import blocks, views
 from stillcal.daemon.varlink import types as api
-from stillcal.daemon.varlink import views
 from stillcal.daemon.varlink.address import NAME as INTERFACE
 from stillcal.daemon.varlink.daemon import Daemon
 from stillcal.daemon.varlink.rows import Encoded, Number, Rows
@@ -191,13 +191,13 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         _require_right()
         with self._daemon.recording(sparing) as subscriber:
             CALLER.get().on_disconnect(subscriber)
-            yield views.first_block(self._daemon)
+            yield blocks.record_begun(self._daemon.claims)
             while (item := await subscriber.queue.get()) is not None:
-                if (block := views.block(item)) is not None:
+                if (block := blocks.recorded(item)) is not None:
                     yield block
         if subscriber.overflowed:
             raise TooSlow()
-        raise LastResult(views.last_block())
+        raise LastResult(blocks.record_ended())
 
     @varlinkmethod(return_parameter="block", return_type=api.StreamBlock, delay_generator=False)
     async def Stream(
@@ -213,12 +213,12 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
             raise InvalidParameter(parameter="batch_s")
         with self._daemon.streaming(sparing, batch_s) as subscriber:
             CALLER.get().on_disconnect(subscriber)
-            yield views.stream_begun()
+            yield blocks.stream_begun()
             while (item := await subscriber.queue.get()) is not None:
-                yield views.stream_block(item)
+                yield blocks.live(item)
         if subscriber.overflowed:
             raise TooSlow()
-        raise LastResult(views.stream_ended())
+        raise LastResult(blocks.stream_ended())
 
     @varlinkmethod(return_parameter="calibration")
     async def Rollback(self, *, to: str = "") -> api.Calibration:

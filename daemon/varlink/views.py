@@ -5,10 +5,9 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from stillcal._version import __version__
@@ -17,23 +16,16 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeR
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
 from stillcal.calib_core.static.settings import Label, Sense
-from stillcal.calib_core.streams.events import Charging, Location
-from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
-from stillcal.daemon.service.live_stream import Interruption, Live
-from stillcal.daemon.service.phone_session import Recorded
-from stillcal.daemon.service.subscribers import BACKLOG, Notification
+from stillcal.daemon.service.subscribers import Notification
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
 from stillcal.daemon.varlink import types as api
 from stillcal.daemon.varlink.daemon import Daemon
-from stillcal.daemon.wire.messages import Hello
 
 DAY_S = 86400.0
-
-RECORD_BLOCKS = 8
-"""Blocks of a recording that are kept as JSON for clients who keep up; the largest are some 1 MB."""
 
 
 @functools.lru_cache(maxsize=128)
@@ -278,79 +270,6 @@ def event(notification: Notification, daemon: Daemon) -> api.Event:
     return api.Event(
         notification.what, notification.reason, notification.t, calibration(notification.record, daemon)
     )
-
-
-def block(item: Recorded) -> msgspec.Raw | None:
-    """Return samples or an event as JSON of a Block; None for what a recording does not hold."""
-    if isinstance(item, Samples):
-        return _samples_block(item)
-    if isinstance(item, Hello):
-        return _claims_block(item.claims)
-    if isinstance(item, Charging):
-        return _json({"t_s": item.t, "charging": item.on})
-    if isinstance(item, Location):
-        place = [item.latitude, item.longitude, *([] if item.altitude is None else [item.altitude])]
-        return _json({"t_s": item.t, "location": place})
-    return None
-
-
-def first_block(daemon: Daemon) -> msgspec.Raw:
-    """Return the first block of a recording, with what the phone's maker claims."""
-    return _claims_block(daemon.claims)
-
-
-def last_block() -> msgspec.Raw:
-    """Return the last block of a recording, which is empty."""
-    return _json({})
-
-
-@functools.lru_cache(maxsize=RECORD_BLOCKS)
-def _samples_block(samples: Samples) -> msgspec.Raw:
-    """Return samples as JSON of a Block, made once for all clients."""
-    content: dict[str, Any] = {
-        "sensor": samples.sensor.value,
-        "samples": np.column_stack((samples.t, samples.xyz)).tolist(),
-    }
-    if samples.temperature is not None and bool(np.isfinite(samples.temperature).all()):
-        content["temperature_c"] = samples.temperature.tolist()
-    return _json(content)
-
-
-def _claims_block(claims: Mapping[str, Any]) -> msgspec.Raw:
-    return _json({"claims": msgspec.json.encode(claims).decode()})
-
-
-def _json(content: Mapping[str, Any]) -> msgspec.Raw:
-    return msgspec.Raw(msgspec.json.encode(content))
-
-
-@functools.lru_cache(maxsize=BACKLOG)
-def stream_block(item: Live) -> msgspec.Raw:
-    """Return a piece of the live stream as JSON of a StreamBlock, made once for all clients."""
-    if isinstance(item, Interruption):
-        return _notice(item.reason)
-    samples = item.samples
-    content = {
-        "sensor": samples.sensor.value,
-        "calibrated": item.calibrated,
-        "host_s": item.host_s,
-        "samples": np.column_stack((samples.t, samples.xyz)).tolist(),
-    }
-    return _json(content)
-
-
-def stream_begun() -> msgspec.Raw:
-    """Return the first piece of a live stream."""
-    return _notice("begun")
-
-
-def stream_ended() -> msgspec.Raw:
-    """Return the last piece of a live stream."""
-    return _notice("the daemon is stopping")
-
-
-def _notice(text: str) -> msgspec.Raw:
-    return _json({"notice": text})
 
 
 def standing(daemon: Daemon) -> api.Event:

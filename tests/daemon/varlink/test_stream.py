@@ -17,7 +17,7 @@ from stillcal.calib_core.calibration.record import Term, TermParameter
 from stillcal.calib_core.calibration.terms import correct
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.app import Service
-from stillcal.daemon.varlink import views
+from stillcal.daemon.varlink import blocks
 from stillcal.replay.serial_phone.link import LinkSettings, serve_phone
 from tests.support.asking import NAME, Line, ask, connected, stored
 from tests.support.living import answering, until, within_reason
@@ -192,7 +192,7 @@ def test_a_wish_out_of_range_is_refused(folder: Path, batch_s: float) -> None:
 
 def test_a_recordings_blocks_are_made_once_for_all_who_take_them(tmp_path: Path, lab: list[Any]) -> None:
     """Twelve clients of Record: each block becomes JSON once, the same for all, with the samples."""
-    clients, made = 12, views._samples_block
+    clients, made = 12, blocks._samples
     made.cache_clear()
 
     async def taken(line: Line, wanted: int) -> list[bytes]:
