@@ -98,22 +98,21 @@ class PhoneSession:
             for record in join_blocks(records):
                 await self._on_record(record)
             self._send_live()
-            if self._must_feed_now(records):
+            if not self._may_gather(records):
                 await self._feed_engine()
             if records and not self._in_step:
                 await self.source.let_gather(min(BATCH_S, self._live.patience_s))
 
-    def _must_feed_now(self, records: list[Record]) -> bool:
-        """Return whether these records must reach the engine now, rather than gather."""
-        only_samples = (
-            records
-            and not self._in_step
-            and all(isinstance(record, Samples | Temperature) for record in records)
-        )
+    def _may_gather(self, records: list[Record]) -> bool:
+        """Return whether these records may wait for the engine: samples, while no decision is due."""
         view = self._engine_thread.view
-        no_decision_due = view.watch is Watch.CONTINUOUS and self._saved.clock.newest < view.decides
-        return not (
-            only_samples and not self._in_step and no_decision_due and self._clock() - self._fed_at < GATHER_S
+        return (
+            bool(records)
+            and all(isinstance(record, Samples | Temperature) for record in records)
+            and not self._in_step
+            and view.watch is Watch.CONTINUOUS
+            and self._saved.clock.newest < view.decides
+            and self._clock() - self._fed_at < GATHER_S
         )
 
     async def _receive(self) -> list[Record] | None:

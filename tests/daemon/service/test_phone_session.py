@@ -66,13 +66,13 @@ def with_session(test: Callable[[PhoneSession, Phone, ManualClock], Awaitable[No
 
 def test_samples_alone_wait_for_the_engine_and_what_is_due_does_not() -> None:
     async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
-        assert not session._must_feed_now(SAMPLES)
-        assert session._must_feed_now([*SAMPLES, Charging(2.0, True)])
-        assert session._must_feed_now([])
+        assert session._may_gather(SAMPLES)
+        assert not session._may_gather([*SAMPLES, Charging(2.0, True)])
+        assert not session._may_gather([])
         clock.now += 0.999 * GATHER_S
-        assert not session._must_feed_now(SAMPLES)
+        assert session._may_gather(SAMPLES)
         clock.now += 0.002 * GATHER_S
-        assert session._must_feed_now(SAMPLES)
+        assert not session._may_gather(SAMPLES)
 
     with_session(test)
 
@@ -81,7 +81,7 @@ def test_a_decision_that_is_due_does_not_wait() -> None:
     async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
         await session._on_record(Charging(2.0, True))
         await session._feed_engine()  # which leaves the charger for when samples are known up to it
-        assert session._engine_thread.view.decides == 2.0 and session._must_feed_now(SAMPLES)
+        assert session._engine_thread.view.decides == 2.0 and not session._may_gather(SAMPLES)
 
     with_session(test)
 
