@@ -117,7 +117,7 @@ class SerialSource(Source):
             try:
                 self._port = _open_port(device, self.settings.baud)
             except (serial.SerialException, OSError, termios.error, ValueError) as error:
-                reason = str(error)
+                reason = f"{device}: {_why(error)}"
                 continue
             self._greet(device)
             return
@@ -221,6 +221,17 @@ class SerialSource(Source):
         elif not self._unsent and self._writing:
             loop.remove_writer(fd)
         self._writing = bool(self._unsent)
+
+
+def _why(error: Exception) -> str:
+    """Return why a line cannot be opened: pyserial puts the system's own error into the text of another."""
+    cause = error.__context__ or error
+    number = next(iter(cause.args), None)  # also of a termios.error, which is no OSError
+    if number in {errno.EAGAIN, errno.EBUSY}:
+        return "another program has locked it"
+    if number == errno.ENOTTY:
+        return "it is no serial line"
+    return os.strerror(number) if isinstance(number, int) else str(cause)
 
 
 def _open_port(device: str, baud: int) -> serial.Serial:

@@ -39,7 +39,7 @@ def test_a_device_that_appears_later_is_found_and_the_reason_said_once(tmp_path:
     async def test() -> None:
         async with SerialSource(quick(tmp_path / "tty")) as source:
             (down,) = await source.take()
-            assert isinstance(down, LinkDown) and "No such file" in down.reason
+            assert down == LinkDown("", f"{tmp_path / 'tty'}: No such file or directory")
             while source.link.failed_attempts < 4:
                 await asyncio.sleep(0)
             device = Device(tmp_path / "tty")
@@ -103,13 +103,22 @@ def test_of_several_candidates_the_first_that_opens_is_taken(tmp_path: Path) -> 
     within_reason(test())
 
 
+def test_what_is_no_serial_line_is_said_so(tmp_path: Path) -> None:
+    async def test() -> None:
+        (tmp_path / "file").touch()
+        async with SerialSource(quick(tmp_path / "file")) as source:
+            assert await source.take() == [LinkDown("", f"{tmp_path / 'file'}: it is no serial line")]
+
+    within_reason(test())
+
+
 def test_a_device_that_is_open_is_locked_against_a_second_reader(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")
         async with SerialSource(quick(device.path)) as first, SerialSource(quick(device.path)) as second:
             assert isinstance((await first.take())[0], LinkUp)
             (down,) = await second.take()
-            assert isinstance(down, LinkDown) and "lock" in down.reason
+            assert down == LinkDown("", f"{device.path}: another program has locked it")
             first.close()
             assert isinstance((await until(second, seen(LinkUp)))[-1], LinkUp)
 
