@@ -28,11 +28,7 @@ def rates_file(path: Path) -> Path | None:
         for word, rest in _marked(other.name, Sensor.GYROSCOPE):
             for own_word, own_rest in own:
                 if _said(rest) == _said(own_rest):
-                    likeness = (
-                        rest.lower() != own_rest.lower(),
-                        -len(own_word),
-                        abs(len(word) - len(own_word)),
-                    )
+                    likeness = (rest.lower() != own_rest.lower(), abs(len(word) - len(own_word)))
                     found.append((*likeness, other))
     return next((other for *_, other in sorted(found) if other.is_file()), None)
 

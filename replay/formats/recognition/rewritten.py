@@ -8,7 +8,6 @@ between thousands, as spreadsheets write them.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import re
 from collections.abc import Callable, Sequence
@@ -32,7 +31,6 @@ _BETWEEN = re.compile(r"[\s,;|]+")
 _STAMPED = re.compile(r"^\s*(\d\d:\d\d:\d\d[.,]\d+)\s+->\s*")
 _LIST = re.compile(rf'"?[\[(]\s*((?:{_NUMBER})(?:(?:\s*,\s*|\s+)(?:{_NUMBER}))+)\s*[\])]"?', re.IGNORECASE)
 _IN_A_LIST = re.compile(r"[\s,]+")
-_BOM = codecs.BOM_UTF8.decode("latin-1")
 _GROUP_MARKS = ((",", r"\."), (r"\.", ","), ("['\u2019 ]|\xc2?\xa0|\xe2\x80\xaf|\u202f", "[.,]"))
 """Marks between thousands, with the decimal marks beside them; blanks that do not break, also as bytes."""
 
@@ -95,7 +93,7 @@ def _without_ends(lines: Sequence[str]) -> Rewrite | None:
     """Return what takes off a semicolon that ends rows of cells with commas; None where none does."""
     filled = [line for line in lines if line.strip()]
     ended = filled and all(line.rstrip().endswith(";") and line.count(";") == 1 for line in filled)
-    return (lambda line: line.rstrip().removesuffix(";")) if ended and "," in filled[0] else None
+    return (lambda line: line.rstrip().removesuffix(";")) if ended else None
 
 
 def _without_groups(lines: Sequence[str]) -> Rewrite | None:
@@ -178,7 +176,7 @@ def _without_lists(lines: Sequence[str]) -> Rewrite | None:
     new_header = mark.join(longer).encode().decode("latin-1")
 
     def in_cells(line: str) -> str:
-        if line.rstrip("\r").removeprefix(_BOM) in headers:
+        if line.rstrip("\r") in headers:
             return new_header
         return _LIST.sub(lambda found: mark.join(_IN_A_LIST.split(found[1].strip())), line)
 

@@ -524,13 +524,13 @@ def _known(path: Path, axes: Axes) -> str | None:
 def measures_gravity(table: Table, axes: Axes) -> bool:
     """Whether columns of an unknown kind are an accelerometer's: of gravity's size, as positions rarely are.
 
-    Raises TraceError where they hold no numbers.
+    Rows of several sensors in turn are not: many are smaller or larger by far. Raises TraceError where they
+    hold no numbers.
     """
-    probe = _Probe(table)
-    norms = probe.norms(axes)
-    typical = float(np.median(norms)) if norms.size else 0.0
+    norms = _Probe(table).norms(axes)
+    low, typical, high = np.quantile(norms, (0.1, 0.5, 0.9)) if norms.size else (0.0, 0.0, 0.0)
     like = any(abs(typical / one - 1) < _LIKE_GRAVITY for one in (STANDARD, 1.0, 1000.0))
-    return like and probe.keeps_its_direction(axes)
+    return bool(like and low > typical / 2 and high < 2 * typical)
 
 
 def _gravity_unit(norms: Array) -> str | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import codecs
 import io
+import itertools
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -45,7 +46,9 @@ def copied_by_lines(source: Source, rewrite: Callable[[str], str]) -> Source:
     """
 
     def pieces(file: BinaryIO) -> Iterator[bytes]:
-        for line in io.TextIOWrapper(file, encoding="latin-1", newline="\n"):
+        lines = io.TextIOWrapper(file, encoding="latin-1", newline="\n")
+        first = next(lines, "").removeprefix(codecs.BOM_UTF8.decode("latin-1"))
+        for line in itertools.chain([first], lines):
             end = "\n" if line.endswith("\n") else ""
             yield (rewrite(line.removesuffix("\n")) + end).encode("latin-1")
 

@@ -8,6 +8,7 @@ Arrow where that is installed (compiled.py). What columns mean is not known here
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
 from collections.abc import Iterator, Sequence
@@ -180,6 +181,7 @@ class TextTable:
                         raise TraceError(self.path, "a line does not end", _TEXT_REMEDY, line)
                     continue
                 text, tail = b"".join((tail, memoryview(data)[:cut])), data[cut:]
+                text = text.removeprefix(codecs.BOM_UTF8) if line == 1 else text
                 count = line_ends(text)
                 yield text, line, count, False
                 line += count

@@ -91,6 +91,15 @@ def test_axes_that_nothing_names_are_an_accelerometers_where_they_measure_gravit
     )
 
 
+@pytest.mark.parametrize("other", [RATE[0], np.array([20.0, -5.0, 40.0])])
+def test_rows_of_two_sensors_are_not_one_accelerometers(tmp_path: Path, other: np.ndarray) -> None:
+    rows = DATA[:, :4].copy()
+    rows[::3, 1:] = other
+    (tmp_path / "walk.csv").write_text(text("time,x,y,z", rows))
+    with pytest.raises(TraceError, match=r":1: no accelerometer found by its names"):
+        read_all(tmp_path / "walk.csv")
+
+
 def test_axes_that_nothing_names_are_those_of_one_sensor(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(text("time,x,y,z,x,y,z", DATA))
     with pytest.raises(
@@ -202,10 +211,14 @@ def test_groups_that_hold_a_sensor_each_are_read_together(
     np.testing.assert_allclose(recording.gyroscope.xyz, RATE, rtol=1e-9)
 
 
-def test_a_groups_attribute_says_its_rate(tmp_path: Path) -> None:
+@pytest.mark.parametrize("attribute", [True, False])
+def test_a_groups_attribute_or_a_number_in_it_says_its_rate(tmp_path: Path, attribute: bool) -> None:
     with h5py.File(tmp_path / "r.h5", "w") as file:
         file["imu/accel"] = FORCE
-        file["imu"].attrs["fs"] = 100.0
+        if attribute:
+            file["imu"].attrs["fs"] = 100.0
+        else:
+            file["imu/fs"] = 100.0
     np.testing.assert_allclose(read_all(tmp_path / "r.h5").accelerometer.t, T, atol=1e-9)
 
 

@@ -194,6 +194,9 @@ PREAMBLE = "// General information:\n// Rate,100\nSample,Time (s),Comment\n\n"
         text(f"# {OWN.replace(',', ' ')}", LONG, " "),
         text(f"sep=,\nDevice:,left\n\n{OWN}", LONG),
         text(f"Device:,left,,,,,\nRange:,4 g,,,,,\n{OWN}", LONG),  # as a spreadsheet fills short lines
+        text(f"1,2,3\n{OWN}", LONG),
+        text(f"Ranges,2,4,8,16,g,of,this,device,type\nRate,100\n{OWN}", LONG),
+        text(f"logger:\n  name: left\n---\n{OWN}", LONG),
         text(OPENSIM + OWN.replace(",", "\t"), LONG, "\t"),
         text(PREAMBLE + OWN.replace(",", "\t"), LONG, "\t"),
         text("t,ax,ay,az,gx,gy,gz\nms,g,g,g,deg/s,deg/s,deg/s", LONG * IN_OTHER_UNITS),

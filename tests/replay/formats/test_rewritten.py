@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,7 @@ IN_CELLS = {
         "time_ms;note;acc (m/s²);gyr (rad/s)\n",
         "{t};-;({a[0]}, {a[1]}, {a[2]});({w[0]}, {w[1]}, {w[2]})",
     ),
+    "semicolons behind blanks": ("", "{t} {a[0]} {a[1]} {a[2]} {w[0]} {w[1]} {w[2]};"),
     "semicolons at the ends": (
         "time_ms,acc_x,acc_y,acc_z,gyr_x,gyr_y,gyr_z;\n",
         "{t},{a[0]},{a[1]},{a[2]},{w[0]},{w[1]},{w[2]};",
@@ -67,9 +69,10 @@ def test_names_before_each_number(tmp_path: Path, line: str) -> None:
 
 
 @pytest.mark.parametrize(("header", "line"), IN_CELLS.values(), ids=IN_CELLS)
-def test_lists_stamps_and_ends(tmp_path: Path, header: str, line: str) -> None:
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_lists_stamps_and_ends(tmp_path: Path, header: str, line: str, encoding: str) -> None:
     path = tmp_path / "r.csv"
-    path.write_text(header + "\n".join(lines(line)) + "\n")
+    path.write_text(header + "\n".join(lines(line)) + "\n", encoding=encoding)
     assert_read(path)
 
 
@@ -99,8 +102,30 @@ def test_marks_between_thousands(
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("date", "unit", "per_si", "cell", "mark"),
+    [
+        ("%Y-%m-%d %H:%M:%S.%f", "ug", 1e6 / 9.80665, "{:,.0f}", ","),  # twice in a number
+        ("%Y-%m-%d %H:%M:%S.%f", "mg", 1e3 / 9.80665, "{:,.0f}", "\u202f"),
+        ("%d.%m.%Y %H:%M:%S,%f", "mg", 1e3 / 9.80665, "{:,.3f}", "."),
+    ],
+)
+def test_marks_between_whole_thousands_and_beside_dates(
+    tmp_path: Path, date: str, unit: str, per_si: float, cell: str, mark: str
+) -> None:
+    in_german = str.maketrans({",": mark, ".": ","})
+    dates = [(datetime(2026, 3, 1) + timedelta(milliseconds=int(t))).strftime(date) for t in MS]
+    rows = [
+        [d, *(cell.format(v * per_si).translate(in_german) for v in a)]
+        for d, a in zip(dates, FORCE, strict=True)
+    ]
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(map(";".join, [["time", *(f"a{x} [{unit}]" for x in "xyz")], *rows])) + "\n")
+    np.testing.assert_allclose(read_all(path).accelerometer.xyz, FORCE, atol=0.01)
+
+
 def test_commas_that_may_be_decimal_marks_stay(tmp_path: Path) -> None:
-    force = FORCE + np.array([1, 1, 0])  # so that no number begins with 0
+    force = FORCE + np.array([2, 2, 0])  # so that no number begins with 0
     rows = [[f"{t}", *(f"{v:.3f}".replace(".", ",") for v in a)] for t, a in zip(MS, force, strict=True)]
     path = tmp_path / "r.csv"
     path.write_text("time_ms;ax;ay;az\n" + "\n".join(map(";".join, rows)) + "\n")

@@ -88,6 +88,13 @@ def test_each_block_holds_one_sensor_and_the_header_comes_again(
     recording = read(tmp_path, [header, *by_kind[:900], header, *by_kind[900:]])
     assert_same(recording)
     assert any("1 line repeats the header" in note for note in recording.notes)
+    assert any(note.endswith("passed over: magnetometer") for note in recording.notes)
+
+
+def test_a_text_that_goes_with_the_sensor_is_no_device(tmp_path: Path) -> None:
+    units = {"accelerometer": "m/s^2", "gyroscope": "rad/s", "magnetometer": "uT"}
+    rows = [f"{row},{units[row.split(',')[0]]}" for row in sensor_rows()]
+    assert_same(read(tmp_path, ["sensor,timestamp,x,y,z,unit", *rows]))
 
 
 def test_rows_of_other_sensors_may_have_other_cells(tmp_path: Path) -> None:

@@ -41,12 +41,13 @@ def texts(values: np.ndarray, form: str = ".9f") -> list[str]:
         ("Elapsed Time (h)", texts(SECONDS / 3600, ".11f"), 0.01),
         ("Temps (s)", texts(SECONDS), 0.01),
         ("GpsTow", texts(300_000 + SECONDS), 0.01),
+        ("Abszisse [s]", texts(SECONDS), 0.01),
     ],
 )
 def test_the_unit_of_times(tmp_path: Path, name: str, stamps: list[str], step: float) -> None:
     recording = read(tmp_path, {name: stamps})
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), step, rtol=2e-3)
-    assert (f"(by its steps, {1 / step:.3g} Hz)" in recording.notes[0]) == ("(" not in name)
+    assert (f"(by its steps, {1 / step:.3g} Hz)" in recording.notes[0]) == (name[-1] not in ")]")
 
 
 @pytest.mark.parametrize(
@@ -67,6 +68,17 @@ def test_a_messages_own_stamp_goes_before_the_time_of_recording(tmp_path: Path) 
     own = texts(1.7e18 + SECONDS * 1e9, ".0f")
     columns = {"%time": late, "field.header.seq": texts(SECONDS, ".0f"), "field.header.stamp": own}
     recording = read(tmp_path, columns, called="field.linear_acceleration.")
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+
+
+def test_a_unit_of_time_alone_goes_behind_a_time(tmp_path: Path) -> None:
+    recording = read(tmp_path, {"latency [ms]": texts(SECONDS * 2000 + 3), "time [s]": texts(SECONDS)})
+    np.testing.assert_allclose(recording.accelerometer.t, SECONDS)
+
+
+def test_dates_need_not_stand_first(tmp_path: Path) -> None:
+    dates = [f"2024-03-01 10:00:{s:06.3f}" for s in SECONDS]
+    recording = read(tmp_path, {"note": ["-"] * N, "when": dates})
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
 
 

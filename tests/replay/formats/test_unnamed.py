@@ -72,6 +72,31 @@ def test_other_counts_of_columns_are_refused(tmp_path: Path) -> None:
         read_all(written(tmp_path / "r.csv", lines))
 
 
+def test_rows_named_by_their_sensor_with_more_than_three_values_are_refused(tmp_path: Path) -> None:
+    lines = [joined(",", "acc", t, *f, r[0]) for t, f, r in zip(MS, FORCE, RATES, strict=True)]
+    with pytest.raises(TraceError, match="has no header, and of its 6 columns 4 may be axes"):
+        read_all(written(tmp_path / "r.csv", lines))
+
+
+def test_two_sensors_of_the_size_of_gravity_are_not_told_apart(tmp_path: Path) -> None:
+    lines = [joined(",", t, *f, *f[::-1]) for t, f in zip(MS, FORCE, strict=True)]
+    with pytest.raises(TraceError, match=r"which of columns 1, 2, 3 and 4, 5, 6 .* is not clear by size"):
+        read_all(written(tmp_path / "r.csv", lines))
+
+
+def test_rates_that_never_change_are_no_gyroscopes(tmp_path: Path) -> None:
+    lines = [joined(",", t, *f, 0, 0, 0) for t, f in zip(MS, FORCE, strict=True)]
+    recording = read_all(written(tmp_path / "r.csv", lines))
+    assert recording.gyroscope is None
+    assert "passed over, since a gyroscope has noise on all axes: 4 5 6" in recording.notes[0]
+
+
+def test_the_mark_of_utf_8_is_no_part_of_a_first_row(tmp_path: Path) -> None:
+    lines = [joined(",", t, *f) for t, f in zip(MS, FORCE, strict=True)]
+    (tmp_path / "r.csv").write_text("\n".join(lines) + "\n", encoding="utf-8-sig")
+    np.testing.assert_array_equal(read_all(tmp_path / "r.csv").accelerometer.xyz, FORCE)
+
+
 def test_columns_that_are_called_by_their_count_have_no_names(tmp_path: Path) -> None:
     lines = [joined(",", time, *force) for time, force in zip(MS, FORCE, strict=True)]
     recording = read_all(written(tmp_path / "r.csv", ["0,1,2,3", *lines]))
