@@ -32,6 +32,7 @@ from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, Vie
 from stillcal.daemon.service.live_stream import Live, LiveStream
 from stillcal.daemon.service.phone_session import PhoneSession, Recorded
 from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.saving import Saving
 from stillcal.daemon.service.self_diagnosis import Night, diagnose
 from stillcal.daemon.service.storage import Storage, with_provenance
 from stillcal.daemon.service.subscribers import (
@@ -54,15 +55,6 @@ from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.server import Server, serving
 
 T = TypeVar("T")
-
-SAVE_EVERY_S = 10.0
-"""Least time between two writes of the state for new rests, s: so much a crash can lose."""
-
-SAVE_AT_LEAST_S = 600.0
-"""Longest time between two writes of the state, s: clock and energy ledger change without rests."""
-
-RETRY_EVERY_S = 2.0
-"""So often it is tried again where the disk refused, s."""
 
 END_S, LAST_SAMPLES_S = 1.2, 0.5
 """A clean stop waits at most so long for everything together, and of that for the phone's last samples, s.
@@ -118,8 +110,7 @@ class Service:
         self._publishers = list(publishers(settings.publish))
         self._started_at = self._clock()
         self._stop = asyncio.Event()
-        self._unsaved = asyncio.Event()
-        self._save_now = False
+        self.saving = Saving(self.storage, self._encoded, clock)
         self._server: Server | None = None
 
     def open(self) -> None:
@@ -214,8 +205,8 @@ class Service:
                 asyncio.create_task(job)
                 for job in (
                     self._serving_phone(),
-                    self._saving(),
-                    self._holding_the_store(),
+                    self.saving.run(),
+                    self.saving.hold(),
                     self._sending_heartbeats(),
                     self._diagnosing_at_night(),
                     *(publishing(publisher, self._for_publisher) for publisher in self._publishers),
@@ -247,33 +238,6 @@ class Service:
             async with served.source:
                 await served.run()
         await self._stop.wait()
-
-    async def _saving(self) -> None:
-        """Write calibrations at once, and the state at most every SAVE_EVERY_S."""
-        saved_at, changed = self._clock() - SAVE_EVERY_S, False
-        while True:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(max(saved_at + self._pause(changed) - self._clock(), 0.0)):
-                    await self._unsaved.wait()
-            changed = changed or self._unsaved.is_set()
-            self._unsaved.clear()
-            await self.storage.flush()
-            if self._save_now or self._clock() - saved_at >= self._pause(changed):
-                self._save_now = False
-                saved_at, changed = self._clock(), not await self.save()
-
-    def _pause(self, changed: bool) -> float:
-        """Return how long (s) after one try to save the next one is due."""
-        if self.storage.trouble:
-            return RETRY_EVERY_S
-        return SAVE_EVERY_S if changed else SAVE_AT_LEAST_S
-
-    async def _holding_the_store(self) -> None:
-        """See every now and then that the store is still there, and ours alone."""
-        while True:
-            if not await self.storage.check():
-                self._unsaved.set()  # saving is tried again until it can be
-            await asyncio.sleep(HEARTBEAT_S)
 
     async def _keeping_chip(self) -> None:
         """Keep the calibration in the registers of the machine's own sensors."""
@@ -313,17 +277,12 @@ class Service:
             say("info", "self-diagnosis", report.summary, t=now, **took)
             self.act((await self.engine_thread.consider(report.read())).actions)
         self.saved.night = report
-        self._unsaved.set()
+        self.saving.changed()
 
-    async def save(self) -> bool:
-        """Write the state; return whether it is on the disk."""
+    async def _encoded(self) -> bytes:
+        """Return the state file's contents now."""
         saved = replace(self.saved, clock=copy.deepcopy(self.saved.clock), energy=self.saved.energy.copy())
-        try:
-            data = await self.engine_thread.encoded(saved)
-        except (ValueError, TypeError, OverflowError, MemoryError) as error:
-            say("error", "state", f"it cannot be written: {error!r}")
-            return False
-        return await self.storage.save(data)
+        return await self.engine_thread.encoded(saved)
 
     async def _end(self, until: float, serving: asyncio.Task[None], *others: asyncio.Task[None]) -> None:
         """Feed what has arrived, save the state, and release the source, the thread and the store.
@@ -334,24 +293,17 @@ class Service:
         await asyncio.wait([serving], timeout=LAST_SAMPLES_S)
         for job in (serving, *others):
             job.cancel()
-        saving = asyncio.create_task(self.save())
+        saving = asyncio.create_task(self.saving.save())
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout_at(until):
                 await asyncio.gather(saving, serving, *others, return_exceptions=True)
         saved = not saving.cancelled() and saving.result()
         if not saved:
-            self._say_what_is_lost("the engine or the disk is busy" if saving.cancelled() else "see above")
+            why = "the engine or the disk is busy" if saving.cancelled() else "see above"
+            self.saving.say_what_is_lost(why)
         self.engine_thread.close()
         self.storage.close()
         say("info", "stopped", "state saved" if saved else "", calibration=self.current_id)
-
-    def _say_what_is_lost(self, otherwise: str) -> None:
-        """Log what the end of the daemon loses. otherwise: why, where no write has failed."""
-        why = self.storage.trouble or otherwise
-        say("warning", "stopping", f"{why}: the state is as it was last saved")
-        if (lost := self.storage.unsaved) is not None:
-            what = "the newest change of the calibration is not in the store"
-            say("error", "lost", f"{why}: {what}", calibration=lost.record.id, reason=lost.reason)
 
     # What the engine wants done
 
@@ -360,7 +312,7 @@ class Service:
         for action in actions:
             if isinstance(action, Log):
                 say(str(action.level), action.what, action.why, t=action.t, **action.fields)
-                self._unsaved.set()
+                self.saving.changed()
             elif isinstance(action, Diagnose):
                 say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
             elif isinstance(action, Publish | Reject | Forget):
@@ -370,8 +322,7 @@ class Service:
         if isinstance(action, Publish):
             self._say_whose(action.record)
         self.storage.enqueue(with_provenance(action, self.settings.source.port, self.saved.device))
-        self._save_now = self._save_now or action.record.acceptance.how not in PASSING
-        self._unsaved.set()
+        self.saving.changed(at_once=action.record.acceptance.how not in PASSING)
         self.subscribers.announce(action)
 
     def _say_whose(self, record: CalibrationRecord) -> None:
@@ -412,7 +363,7 @@ class Service:
         """Make an earlier calibration current. Raises ValueError where the history has none such."""
         document = await self.storage.rollback(target)
         await self.engine_thread.hold(document.current)
-        self._unsaved.set()
+        self.saving.changed()
         if document.current is not None:
             say("info", "rollback", "an earlier calibration is current again", calibration=self.current_id)
             self.subscribers.notify(

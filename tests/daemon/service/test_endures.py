@@ -127,9 +127,9 @@ def test_a_state_that_cannot_be_encoded_is_said_and_survived(
     async def test() -> None:
         async with running(given_in(tmp_path)) as service:
             service.saved.energy.began = 10**400  # type: ignore[assignment]
-            assert not await service.save()
+            assert not await service.saving.save()
             service.saved.energy.began = None
-            assert await service.save()
+            assert await service.saving.save()
 
     within_reason(test())
     assert "cannot be written" in caplog.text

@@ -87,8 +87,10 @@ def test_a_full_disk_delays_nothing_and_is_made_up_for(
 ) -> None:
     given = given_in(tmp_path)
     publish = Store.publish
-    monkeypatch.setattr("stillcal.daemon.app.SAVE_EVERY_S", 600.0)  # the next try does not wait for this
-    monkeypatch.setattr("stillcal.daemon.app.RETRY_EVERY_S", 0.05)
+    monkeypatch.setattr(
+        "stillcal.daemon.service.saving.SAVE_EVERY_S", 600.0
+    )  # the next try does not wait for this
+    monkeypatch.setattr("stillcal.daemon.service.saving.RETRY_EVERY_S", 0.05)
 
     def refuse(*arguments: Any) -> None:
         raise StoreError("the disk is full: free some space")
