@@ -6,7 +6,5 @@ TOO_LITTLE = 3  # too few rests or attitudes for a calibration
 NO_DAEMON = 4
 VERDICT = 5  # that of --fail-on
 NOT_SAVED = 74  # EX_IOERR of sysexits.h, a calibration that was made is not in the store
-TRY_AGAIN = (
-    75  # EX_TEMPFAIL of sysexits.h, a passing fault (disk, memory): the service manager starts it again
-)
+TRY_AGAIN = 75  # EX_TEMPFAIL of sysexits.h, a passing fault: the service manager starts it again
 INTERRUPTED = 130

@@ -20,6 +20,8 @@ MODULES = {
     "stillcal.daemon.sources.sysfs": 1,
     "stillcal.daemon.cli.watch.sentences": 1,
     "stillcal.daemon.service.saved_state": 1,
+    "stillcal.daemon.system.printable": 2,
+    "stillcal.daemon.system.requirements": 1,
 }
 """Modules, and how many of their functions have examples at least."""
 
