@@ -106,10 +106,11 @@ def _without_groups(lines: Sequence[str]) -> Rewrite | None:
     delimiter = delimiter_of(filled[-1]) if filled else " "
     if delimiter == " ":
         return None
-    cells = [cell.strip() for line in lines for cell in _cells(line, delimiter) if cell[-1:].isdigit()]
+    every = (cell.strip() for line in lines for cell in _cells(line, delimiter))
+    cells = [cell for cell in every if cell[-1:].isdigit() and ":" not in cell]  # times of day have one
     for mark, decimal in _GROUP_MARKS:
         grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
-        with_mark = [cell for cell in cells if re.search(mark, cell) and not is_date(cell.encode())]
+        with_mark = [cell for cell in cells if re.search(mark, cell)]
         twice = any(len(re.findall(mark, cell)) > 1 for cell in with_mark)
         shown = twice or len(mark) > 2 or any(re.search(rf"\d{decimal}\d", cell) for cell in cells)
         if with_mark and shown and all(map(grouped.fullmatch, with_mark)):

@@ -72,7 +72,7 @@ def test_a_messages_own_stamp_goes_before_the_time_of_recording(tmp_path: Path) 
 
 
 def test_a_unit_of_time_alone_goes_behind_a_time(tmp_path: Path) -> None:
-    recording = read(tmp_path, {"latency [ms]": texts(SECONDS * 2000 + 3), "time [s]": texts(SECONDS)})
+    recording = read(tmp_path, {"latency [ms]": texts(SECONDS * 2000 + 3), "phone time [s]": texts(SECONDS)})
     np.testing.assert_allclose(recording.accelerometer.t, SECONDS)
 
 
