@@ -201,9 +201,10 @@ class TraceWriter:
     def _discard(self) -> None:
         if self._room is not None:
             self._room.free()
-        with contextlib.suppress(OSError):
-            if self._file is not None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):  # what waits to be written may not fit
                 self._file.close()
+        with contextlib.suppress(OSError):
             self._temporary.unlink(missing_ok=True)
         self._file = self._stream = None
 

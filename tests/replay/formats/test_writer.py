@@ -119,6 +119,19 @@ def test_split_writing_is_whole_writing(tmp_path: Path) -> None:
     assert len(read_all(tmp_path / "a.csv").accelerometer) == 100
 
 
+@pytest.mark.parametrize("name", ["r.csv", "r.csv.gz"])
+def test_a_file_that_may_not_grow_leaves_nothing_behind(tmp_path: Path, name: str) -> None:
+    """A real limit (RLIMIT_FSIZE) in a process of its own: the kernel refuses the rest, also at closing."""
+    script = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n"
+        "from stillcal.daemon.cli.entry import main; main()"
+    )
+    command = [sys.executable, "-B", "-c", script, "convert", "sample:lab", "--out", str(tmp_path / name)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ran.returncode, len(ran.stderr.splitlines())) == (2, 1) and "cannot be written" in ran.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
 ON_A_FULL_DISK = """
 import sys
 import subprocess
