@@ -8,7 +8,6 @@ between thousands, as spreadsheets write them.
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.plain import copied_by_lines, plain_text
-from stillcal.replay.formats.tables.text import text_head
+from stillcal.replay.formats.tables.text import quoted_cells, text_head
 
 _LOOKED_AT = 50
 """Lines by which it is seen whether a text is written so; what a board prints when it starts is shorter."""
@@ -106,7 +105,7 @@ def _without_groups(lines: Sequence[str]) -> Rewrite | None:
     delimiter = delimiter_of(filled[-1]) if filled else " "
     if delimiter == " ":
         return None
-    every = (cell.strip() for line in lines for cell in _cells(line, delimiter))
+    every = (cell.strip() for line in lines for cell in quoted_cells(line, delimiter))
     cells = [cell for cell in every if cell[-1:].isdigit() and ":" not in cell]  # times of day have one
     for mark, decimal in _GROUP_MARKS:
         grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
@@ -119,12 +118,8 @@ def _without_groups(lines: Sequence[str]) -> Rewrite | None:
 
 
 def _without_marks(delimiter: str, mark: re.Pattern[str], grouped: re.Pattern[str], line: str) -> str:
-    cells = (mark.sub("", c) if grouped.fullmatch(c.strip()) else c for c in _cells(line, delimiter))
+    cells = (mark.sub("", c) if grouped.fullmatch(c.strip()) else c for c in quoted_cells(line, delimiter))
     return delimiter.join(f'"{cell}"' if delimiter in cell else cell for cell in cells)
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    return next(csv.reader([line], delimiter=delimiter), [])
 
 
 def _labelled(line: str) -> tuple[list[str], list[str]] | None:

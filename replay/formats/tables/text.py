@@ -157,12 +157,7 @@ class TextTable:
         return [name.strip() for name in self._cells(uncommented(lines[self._map.skip_lines]))]
 
     def _cells(self, line: str) -> list[str]:
-        if self.delimiter == _BLANKS:
-            return line.split()
-        try:
-            return next(csv.reader([line.replace("\r", " ")], delimiter=self.delimiter), [])
-        except csv.Error:
-            return [line]
+        return line.split() if self.delimiter == _BLANKS else quoted_cells(line, self.delimiter)
 
     def _line_blocks(self, size: int) -> Iterator[tuple[bytes, int, int, bool]]:
         """Yield (whole lines, number of the first, how many, whether the last one lacks its line end)."""
@@ -304,6 +299,14 @@ class TextTable:
     def column_name(self, place: int) -> str:
         """Return how to call the column at `place` in a message."""
         return f"column {self.names[place]!r}" if self.names is not None else f"column {place}"
+
+
+def quoted_cells(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, of which some may be quoted, without the quotes."""
+    try:
+        return next(csv.reader([line.replace("\r", " ")], delimiter=delimiter), [])
+    except csv.Error:
+        return [line]
 
 
 def _has(cells: Sequence[str], key: Sequence[tuple[int, str]]) -> bool:

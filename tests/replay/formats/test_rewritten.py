@@ -124,6 +124,13 @@ def test_marks_between_whole_thousands_and_beside_dates(
     np.testing.assert_allclose(read_all(path).accelerometer.xyz, FORCE, atol=0.01)
 
 
+def test_a_carriage_return_within_a_line_is_no_end_of_it(tmp_path: Path) -> None:
+    rows = [",".join(map(str, (t, *a))) for t, a in zip(MS, FORCE, strict=True)]
+    path = tmp_path / "r.csv"
+    path.write_bytes("\n".join(["log\rof a walk", "time_ms,ax,ay,az", *rows]).encode() + b"\n")
+    np.testing.assert_array_equal(read_all(path).accelerometer.xyz, FORCE)
+
+
 def test_commas_that_may_be_decimal_marks_stay(tmp_path: Path) -> None:
     force = FORCE + np.array([2, 2, 0])  # so that no number begins with 0
     rows = [[f"{t}", *(f"{v:.3f}".replace(".", ",") for v in a)] for t, a in zip(MS, force, strict=True)]
