@@ -201,7 +201,7 @@ def _headerless(lines: list[str]) -> TextFormat:
         return TextFormat("empatica", load_map("empatica"))
     usable = [[float(c) for c in row] for row in rows if len(row) == width and _numbers_in(row)]
     values = np.array(usable)
-    blanks = delimiter == " "
+    blanks = delimiter == " " and len(usable) > 0
     if blanks and width == 4 and np.median(np.abs(values[:, 1:])) > 1000:
         return TextFormat("imu_tk", load_map("imu_tk"))
     if blanks and width == 6 and 4 < np.median(np.linalg.norm(values[:, :3], axis=1)) < 16:

@@ -57,10 +57,10 @@ def test_labels_and_columns_in_which_nothing_changes_are_no_axes(tmp_path: Path)
     np.testing.assert_allclose(recording.accelerometer.t, MS / 1000)
 
 
-def test_a_date_may_be_the_time(tmp_path: Path) -> None:
+@pytest.mark.parametrize("start", ["2024-03-01 10:00:0{s:.3f},", "10:00:0{s:.3f} "])
+def test_a_date_may_be_the_time(tmp_path: Path, start: str) -> None:
     lines = [
-        f"2024-03-01 10:00:0{ms / 1000:.3f},{joined(',', *force)}"
-        for ms, force in zip(MS, FORCE, strict=True)
+        start.format(s=ms / 1000) + joined(start[-1], *force) for ms, force in zip(MS, FORCE, strict=True)
     ]
     recording = read_all(written(tmp_path / "r.csv", lines))
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
