@@ -181,15 +181,18 @@ def stale_axes(samples: Samples, sensor: str, dropped: Flags) -> Finding | None:
 def stays(xyz: Array, axis: int, free: Flags) -> tuple[Index, float, float]:
     """Return the rows in which an axis alone keeps its value, of how many that must not, and its chance.
 
-    They must not where the four neighbours of a sample are sure to have it elsewhere than the sample before.
+    They must not where the four neighbours of a sample are sure to have it elsewhere than the sample before,
+    and the axis moves before and after it: where a motion begins, the last sample of the rest is not late.
     free: (n - 1,) whether the two are not at the end of the axis' range, where motion keeps them.
     """
     left, values = residual(xyz[:, [axis]])[:, 0], xyz[REACH:-REACH, axis]
     step = comb_step(values) or 0.0
-    inner = slice(REACH - 1, -REACH)
-    change = np.diff(xyz, axis=0)[inner]
-    alone = (change != 0.0).any(axis=1) & free[inner]
     unit = max(float(spread(left[:, None])[0]), step)
+    changes = np.diff(xyz, axis=0)
+    moves = np.abs(changes[:, axis]) > SURE * unit
+    inner = slice(REACH - 1, -REACH)
+    change, amid = changes[inner], moves[:-2] & moves[2:]
+    alone = (change != 0.0).any(axis=1) & free[inner] & amid[REACH - 2 : 1 - REACH]
     due = np.flatnonzero(alone & (np.abs(change[:, axis] - left) > SURE * unit))
     moved = np.abs(change[due, axis])
     near = float(((moved > 0.0) & (moved < 2.5 * step)).sum())

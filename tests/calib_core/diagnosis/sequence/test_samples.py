@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.places import Noise, batch, by_count
+from stillcal.calib_core.diagnosis.sequence.recurrence import stale_axes
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.hhar_still import recordings
 
@@ -92,6 +93,25 @@ def test_what_a_bus_does_to_samples_is_unknown_with_what_it_follows(change: Chan
     found = said(codes)
     assert driver in {f.where.driver for f in found}
     assert {f.effect for f in found} == {"unknown"}
+
+
+def test_where_a_motion_begins_the_last_sample_of_the_rest_is_not_late() -> None:
+    """Rests in steps that hide the noise; axes set off one after another, faster than they are sampled."""
+    rng, codes = np.random.default_rng(5), np.zeros((9000, 3))
+    for start in range(100, 9000, 150):
+        for axis, later in enumerate(rng.permutation(3)):
+            since = np.arange(50 - later)
+            course = rng.uniform(200.0, 600.0) * np.sin(
+                rng.uniform(0.4, 0.9) * (since + rng.uniform(0.2, 1.0))
+            )
+            codes[start + later : start + 50, axis] = np.rint(course)
+    samples = Samples.checked(Sensor.GYROSCOPE, np.arange(len(codes)) / 25.0, codes * STEP)
+    dropped = np.zeros(codes.shape, dtype=bool)
+    assert stale_axes(samples, "gyro", dropped) is None
+    stale(codes, rng)
+    late = Samples.checked(Sensor.GYROSCOPE, samples.t, codes * STEP)
+    found = stale_axes(late, "gyro", dropped)
+    assert found is not None and found.axes == ["z"]
 
 
 @pytest.mark.parametrize("seed", range(3))
