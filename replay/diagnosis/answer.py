@@ -178,8 +178,9 @@ def _finding(
     out |= _of_both(one.difference) if one.difference is not None else _of_one(one, names)
     if one.effect == UNEQUAL and one.difference is not None:
         out |= _with_imbalance(out, one.difference, one.axes[0])
-    if one.effect.endswith("_temperature") and "reference" not in out and mean_temperature is not None:
-        out["reference"] = {"temperature_c": mean_temperature}
+    if one.effect.endswith("_temperature") and mean_temperature is not None:
+        at = {"temperature_c": mean_temperature, "mean_temperature_c": mean_temperature}
+        out["reference"] = at | out.get("reference", {})
     if own is not None and one.relation in ("lacking", "superfluous"):
         out["evidence"] |= _held_out(own)
     out["statement"] = statement(out, names)

@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     Wanted,
     kind_of,
     linear_quantities,
+    moved_rows,
     proposed,
     wanted_of,
 )
@@ -106,17 +107,30 @@ def _sides(
     wanted: Sequence[Wanted],
     unlogged: Sequence[Sequence[NotLogged]],
 ) -> list[dict[Key, Quantity]]:
-    """Return what either recording shows, the constants at the temperature where both agree best."""
+    """Return what either recording shows, the constants at the recording's mean temperature.
+
+    They are those at the temperature where both agree best, if they do agree there: elsewhere they would only
+    repeat that a slope differs.
+    """
     reference = _mean_temperature(exams[0].bins, exams[1].bins)
     sides = [_quantities(exam, wanted, reference) for exam in exams]
-    crossing = crossing_temperatures(sides, reference)
-    if crossing:
-        sides = [
-            side | linear_quantities(e, wanted, reference | crossing)
-            for e, side in zip(exams, sides, strict=True)
-        ]
+    for sensor, at in crossing_temperatures(sides, reference).items():
+        crossed = [linear_quantities(e, wanted, reference | {sensor: at}) for e in exams]
+        if all(_agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
+            sides = [
+                side | {key: q for key, q in at_crossing.items() if key[1] == sensor}
+                for side, at_crossing in zip(sides, crossed, strict=True)
+            ]
     sides = not_logged.with_unknown_temperature(sides, unlogged)
     return [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
+
+
+def _agree(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> bool:
+    """Whether two recordings are not sure to differ in a quantity that both show."""
+    one, other = (side.get(key) for side in sides)
+    if one is None or other is None:
+        return True
+    return posterior(subtract(one, other).log_bayes_factor, len(sides[0])) < CERTAIN
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,15 +197,17 @@ def _line(
     That is the change by axis (3,) for each K, and of the difference at the reference its inverse covariance
     (3, 3) and its size (3,).
     """
-    first, sign = SHIFTED[effect]
-    keys = ((effect, sensor), (f"{sensor}_{'scale' if first else 'bias'}", sensor))
+    keys = ((effect, sensor), (effect.removesuffix("_temperature"), sensor))
     if not all(key in side for key in keys for side in sides):
         return None
     slope, constant = (subtract(sides[0][key], sides[1][key]) for key in keys)
     if posterior(slope.log_bayes_factor, len(sides[0])) < CERTAIN:
         return None
-    spread = constant.covariance[:3, :3] + np.diag(constant.recorded.tolerance[:3] ** 2)
-    return sign * slope.value[:3], np.asarray(np.linalg.inv(spread)), constant.value[:3]
+    rows = moved_rows(effect)
+    spread = constant.covariance[np.ix_(rows, rows)] + np.diag(constant.recorded.tolerance[rows] ** 2)
+    # A scale is that of the correction: what the sensor gains it loses.
+    change = -slope.value[:3] if "_scale_" in effect else slope.value[:3]
+    return change, np.asarray(np.linalg.inv(spread)), constant.value[rows]
 
 
 def _mean_temperature(recorded: Bins, simulated: Bins) -> dict[str, float]:

@@ -197,11 +197,20 @@ def _of_constants(view: View) -> Array:
     return np.asarray(-(view.absorbed @ PRIOR)[None])
 
 
-SHIFTED = {"accel_bias_temperature": (0, 1.0), "gyro_bias_temperature": (0, 1.0)} | {
-    "accel_scale_temperature": (3, -1.0)
+SHIFTED = {
+    "accel_bias_temperature": ((0, 1, 2), 1.0),
+    "gyro_bias_temperature": ((0, 1, 2), 1.0),
+    "accel_scale_temperature": ((3, 4, 5), -1.0),
+    "gyro_scale_temperature": ((0, 4, 8), 1.0),
 }
-"""Effects whose columns are about the recording's mean temperature: the first constant that they move, and
-the sign (the accelerometer's scale is that of the correction, so what the sensor gains it loses)."""
+"""Effects whose columns are about the recording's mean temperature: which constants of the fit they move, by
+axis, and the sign (the accelerometer's scale is that of the correction: what the sensor gains it loses)."""
+
+
+def moved_rows(effect: str) -> NDArray[np.int64]:
+    """Return which numbers (3,) of a bias or a scale an effect of temperature moves, axis by axis."""
+    rows = np.array(SHIFTED[effect][0])
+    return np.asarray(rows - rows[0])
 
 
 def _at_reference(
@@ -220,10 +229,10 @@ def _at_reference(
     warmer = reference_c - float(scene.bins.temperature.mean())
     for hypothesis, rows in zip(hypotheses, parts, strict=True):
         if hypothesis.effect.name in SHIFTED:
-            first, sign = SHIFTED[hypothesis.effect.name]
+            moved, sign = SHIFTED[hypothesis.effect.name]
             powers = rows.reshape(-1, 3)
             for p, of in enumerate(powers, start=1):
-                matrix[np.arange(first, first + 3), of] += sign * warmer**p
+                matrix[moved, of] += sign * warmer**p
                 for q in range(1, p):
                     matrix[powers[q - 1], of] += comb(p, q) * warmer ** (p - q)
     return matrix
@@ -245,7 +254,7 @@ def _constant_quantities(
         scale = (exam.aligned.mapping - error @ exam.aligned.mapping) * (1.0 + clock.value)
         value = (scale - one).ravel()
         covariance = covariance[:9, :9] + clock.error**2 * np.outer(one, one)
-    reference = {} if reference_c is None or kind == "turn" else {"temperature_c": reference_c}
+    reference = {} if reference_c is None else {"temperature_c": reference_c}
     sensor = "gyro" if kind == "turn" else kind
     out, first = [], 0
     for name, of in _by_effect(CONSTANTS[kind]).items():

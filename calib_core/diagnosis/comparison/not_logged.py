@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, Wanted, kind_of
+from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, Wanted, kind_of, moved_rows
 from stillcal.calib_core.diagnosis.comparison.looked_for import OF_TIME, why_not_logged
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import NotCompared
@@ -123,5 +123,5 @@ def with_unknown_temperature(sides: Sequence[Side], missing: Sequence[Sequence[N
 
 def _less_sure(constant: Quantity, slope: Quantity) -> Quantity:
     away = np.zeros(constant.value.size)
-    away[:3] = SPREAD_K * slope.value[:3]
+    away[moved_rows(slope.effect)] = SPREAD_K * slope.value[:3]
     return replace(constant, covariance=constant.covariance + np.outer(away, away))

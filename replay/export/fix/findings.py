@@ -19,6 +19,9 @@ SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
 ORDER = ("sample_rate", "accel_scale", "gyro_scale")
 """Applied first: a noise per sample depends on the rate, and a bias is added to what is scaled."""
 
+AT_MEAN = {f"{sensor}_bias_temperature": f"{sensor}_bias" for sensor in SENSORS}
+"""Effects that a configuration without temperature can hold at one temperature, and what holds it."""
+
 
 @dataclass(slots=True)
 class Fixed:
@@ -55,12 +58,33 @@ def apply_findings(
     for finding in ordered:
         handler = handlers.get(finding["effect"], otherwise)
         try:
-            if handler is None:
+            if handler is not None:
+                handler(finding)
+            elif finding["effect"] in AT_MEAN and finding["relation"] != "superfluous":
+                _put_in_bias(finding, handlers)
+            else:
                 raise CannotHold("it has no setting for this")
-            handler(finding)
         except CannotHold as reason:
             fixed.not_held.append(f"{title(finding)}: {reason}")
             fixed.left_out.append(finding["effect"])
+
+
+def _put_in_bias(finding: Finding, handlers: Mapping[str, Callable[[Finding], None]]) -> None:
+    """Add what a bias that follows temperature is at the recording's mean temperature to the bias.
+
+    Raises CannotHold in any case: the change with temperature has no place.
+    """
+    bias, mean, at = AT_MEAN[finding["effect"]], mean_c(finding), reference_c(finding)
+    if bias not in handlers or mean is None or at is None:
+        raise CannotHold("it has no setting for this")
+    warmer = mean - at
+    added = np.zeros(3)
+    for power, name in enumerate(powers_of(finding), start=1):
+        added += difference(finding, name) * warmer**power
+    if not added.any():
+        raise CannotHold("it has no setting for this")
+    handlers[bias]({**finding, "difference": {"bias": {"value": added.tolist()}}})
+    raise CannotHold(f"it has no setting for this; what it is at {mean:.1f} degC is in the bias")
 
 
 def title(finding: Finding) -> str:
@@ -180,6 +204,12 @@ def common_level(before: float, finding: Finding, name: str, own: float) -> floa
 def reference_c(finding: Finding) -> float | None:
     """Return the temperature, degC, at which bias and slope of a finding are stated."""
     value = finding.get("reference", {}).get("temperature_c")
+    return None if value is None else float(value)
+
+
+def mean_c(finding: Finding) -> float | None:
+    """Return the recording's mean temperature, degC."""
+    value = finding.get("reference", {}).get("mean_temperature_c")
     return None if value is None else float(value)
 
 

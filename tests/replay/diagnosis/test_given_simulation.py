@@ -109,6 +109,28 @@ def test_a_simulation_that_has_the_effect_agrees() -> None:
     assert said["fit"]["p_before"] > 0.01
 
 
+@pytest.mark.slow
+def test_a_bias_that_differs_for_another_reason_is_stated_at_the_recordings_mean_temperature() -> None:
+    """It was stated where the lines of both come nearest to each other, 17 K colder than any reading."""
+    bias = (SLOPE * 12.0 + np.array([0.0, 0.05, 0.0])).tolist()
+    real = named(recorded(changed(phone_with(thermal(1.0)), "accel", bias=bias), 3), "real.csv")
+    said = answer(real, simulated(0.0))
+    found = {f["effect"]: f for f in said["findings"]}
+    assert set(found) == {"accel_bias", "accel_bias_temperature"}
+    temperature = real.accelerometer.temperature
+    assert temperature is not None
+    at = found["accel_bias"]["reference"]["temperature_c"]
+    assert np.nanmin(temperature) < at < np.nanmax(temperature)
+
+
+@pytest.mark.slow
+def test_a_gyroscopes_scale_that_follows_temperature_is_one_finding() -> None:
+    """Its constant part was told as a second one, at a temperature that nobody named."""
+    warm = {"name": "gyro_scale_temperature", "slope": [2e-3, 0.0, 0.0]}
+    said = answer(recorded(phone_with(warm), 3), recorded(phone_with(), 8))
+    assert effects(said) == {"gyro_scale_temperature"}
+
+
 def coarse(recording: Recording, step: float = 0.012) -> Recording:
     """Round the values to steps of more than two standard deviations of their noise."""
     xyz = frozen(np.rint(recording.accelerometer.xyz / step) * step)

@@ -230,6 +230,16 @@ def test_gazebo_is_changed_in_place() -> None:
     }
 
 
+def test_where_there_is_no_temperature_the_bias_is_that_at_the_recordings_mean() -> None:
+    at = SLOPE | {"reference": {"temperature_c": 25.0, "mean_temperature_c": 30.0}}
+    made = fixed("gazebo", SDF, at)
+    imu = ET.fromstring(made.text).find(".//imu")
+    assert imu is not None
+    means = [float(imu.findtext(f"angular_velocity/{axis}/noise/mean") or 0.0) for axis in "xyz"]
+    assert means == pytest.approx([5.0 * 2e-4, 0.0, 5.0 * -1e-4])
+    assert made.left_out == ["gyro_bias_temperature"] and "30.0 degC" in made.not_held[0]
+
+
 def test_airsim_multiplies_its_own_values_and_keeps_other_settings() -> None:
     text = json.dumps({"SimMode": "Car", "Vehicles": {"A": {"Sensors": {"I": {"SensorType": 2, "x": 1}}}}})
     value = json.loads(fixed("airsim", text, WHITE, SLOW, BIAS).text)

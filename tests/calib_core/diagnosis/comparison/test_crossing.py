@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,26 @@ def test_scales_are_compared_where_they_meet() -> None:
     """The scale is that of the correction: it falls by as much as the sensor's gain grows."""
     sides = [side(-SLOPE * 8.0, SLOPE, "scale"), side(np.zeros(3), np.zeros(3), "scale")]
     assert crossing_temperatures(sides, {"accel": 24.0}) == {"accel": pytest.approx(16.0, abs=0.5)}
+
+
+def test_a_gyroscopes_scale_is_nine_numbers_of_which_temperature_moves_the_diagonal() -> None:
+    mean, slope = (
+        np.zeros(9),
+        Quantity(
+            "gyro_scale_temperature",
+            "gyro",
+            (Part("slope", "1/K", 3),),
+            SLOPE,
+            2e-5**2 * np.eye(3),
+            np.full(3, 1e-3),
+            np.full(3, 1e-9),
+            np.arange(3),
+        ),
+    )
+    mean[[0, 4, 8]] = -SLOPE * 6.0
+    of = (np.full(9, 0.2), np.full(9, 1e-9), np.repeat(np.arange(3), 3))
+    scale = Quantity("gyro_scale", "gyro", (Part("scale", "1", 9),), mean, 1e-4**2 * np.eye(9), *of)
+    recorded = {(q.effect, "gyro"): q for q in (scale, slope)}
+    simulated = {(q.effect, "gyro"): replace(q, value=np.zeros(q.value.size)) for q in (scale, slope)}
+    found = crossing_temperatures([recorded, simulated], {"gyro": 24.0})
+    assert found == {"gyro": pytest.approx(18.0, abs=0.5)}
