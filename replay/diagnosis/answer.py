@@ -183,7 +183,7 @@ def _finding(
         out["reference"] = at | out.get("reference", {})
     if own is not None and one.relation in ("lacking", "superfluous"):
         out["evidence"] |= _held_out(own)
-    out["statement"] = statement(out, names)
+    out["statement"] = " ".join(filter(None, (statement(out, names), one.note)))
     return out | to_paste(out)
 
 

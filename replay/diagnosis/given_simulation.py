@@ -9,12 +9,18 @@ from collections.abc import Callable, Collection
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.assumed_temperature import course_over
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
+from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, silent
 from stillcal.replay.formats.trace import Recording
@@ -54,6 +60,8 @@ def judge_examined(
     answer = answer_of(before, names, Fit.of(before, before), stated)
     if not before.discrepancies:
         return Judged(recording, recorded, simulated, before, None, None, answer)
+    if any(d.note for d in before.discrepancies):
+        simulation = _warmed(simulation, recorded.bins)
     made = _added(recording, simulation, before) if again is None else again(before, answer)
     measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
     if again is None:
@@ -72,6 +80,18 @@ def _added(recording: Recording, simulation: Recording, before: Comparison) -> C
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
     return correct(simulation, before.discrepancies, biases, span=span_of(recording.accelerometer))
+
+
+def _warmed(simulation: Recording, recorded: Bins) -> Recording:
+    """Return a simulation with the temperature of a recording's bins, stretched to it."""
+    samples = simulation.accelerometer
+    course = course_over(recorded, span_of(samples))
+    warm = replace(simulation, accelerometer=replace(samples, temperature=frozen(course.at(samples.t))))
+    if isinstance(warm, LongRecording) and warm.overview is not None:
+        t = warm.overview.force.t
+        overview = replace(warm.overview, thermometer=np.column_stack([t, course.at(t)]))
+        return replace(warm, overview=overview)
+    return warm
 
 
 def with_own_values(measured: Examination, simulated: Examination, changed: Collection[str]) -> Examination:

@@ -9,6 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison import noise, not_logged
+from stillcal.calib_core.diagnosis.comparison.assumed_temperature import excluded, warmed
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.linear import (
     SHIFTED,
@@ -37,7 +38,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     subtract,
     weighed,
 )
-from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
 from stillcal.calib_core.diagnosis.comparison.stated import concluded, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
@@ -59,7 +60,11 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     """Compare a recording with a simulation. names: of both, for the reasons given."""
     exams, had = (recorded, simulated), (wanted_of(recorded), wanted_of(simulated))
     wanted, unlogged = _union(*had), not_logged.not_logged(exams, had, names)
-    pairs, missing = _paired(exams, wanted, unlogged, names)
+    steady = excluded(simulated, recorded.bins, wanted, unlogged[1])
+    unlogged = unlogged[0], [m for m in unlogged[1] if m not in steady]
+    measured = (recorded, warmed(simulated, recorded.bins) if steady else simulated)
+    sides = _sides(measured, (wanted, _without(wanted, unlogged[1])), unlogged)
+    pairs, missing = _paired(exams, sides, wanted, names)
     looked = [_looked_for(exam) for exam in exams]
     reasons = [one.reasons for one in looked]
     direct, alone, unseen = differences_of_samples(exams, reasons, names, unlogged)
@@ -79,17 +84,33 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
         checks=count + len(neither),
         had={(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted},
     )
-    return replace(whole, smallest=smallest)
+    found = [replace(d, note=_assumed(d, steady, names)) for d in whole.discrepancies]
+    return replace(whole, discrepancies=found, smallest=smallest)
+
+
+def _without(wanted: Sequence[Wanted], missing: Sequence[NotLogged]) -> list[Wanted]:
+    """Return the effects that are not among those whose driver is missing."""
+    keys = {(m.effect.name, m.effect.sensor) for m in missing}
+    return [w for w in wanted if (w.hypothesis.effect.name, w.hypothesis.effect.sensor) not in keys]
+
+
+def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, str]) -> str:
+    """Say of an effect of temperature that the simulation logged none; "" of any other difference."""
+    if (found.effect, found.sensor) not in {(m.effect.name, m.effect.sensor) for m in steady}:
+        return ""
+    return (
+        f"{names[1]} has no temperature: it was judged as if its temperature had changed as that of"
+        f" {names[0]} did, and shows no such change."
+    )
 
 
 def _paired(
     exams: tuple[Examination, Examination],
+    sides: Sequence[Mapping[Key, Quantity]],
     wanted: Sequence[Wanted],
-    unlogged: Sequence[Sequence[NotLogged]],
     names: tuple[str, str],
 ) -> tuple[list[Difference], list[NotCompared]]:
     """Return the differences of the quantities that both show, and why others cannot be compared."""
-    sides = _sides(exams, wanted, unlogged)
     pairs: list[Difference] = []
     missing: list[NotCompared] = []
     for key in dict.fromkeys([*_expected(*exams, wanted), *sides[0], *sides[1]]):
@@ -104,18 +125,19 @@ def _paired(
 
 def _sides(
     exams: tuple[Examination, Examination],
-    wanted: Sequence[Wanted],
+    wanted: tuple[Sequence[Wanted], Sequence[Wanted]],
     unlogged: Sequence[Sequence[NotLogged]],
 ) -> list[dict[Key, Quantity]]:
     """Return what either recording shows, the constants at the recording's mean temperature.
 
     They are those at the temperature where both agree best, if they do agree there: elsewhere they would only
-    repeat that a slope differs.
+    repeat that a slope differs. wanted: what either of the two is asked for.
     """
     reference = _mean_temperature(exams[0].bins, exams[1].bins)
-    sides = [_quantities(exam, wanted, reference) for exam in exams]
+    asked = list(zip(exams, wanted, strict=True))
+    sides = [_quantities(exam, own, reference) for exam, own in asked]
     for sensor, at in crossing_temperatures(sides, reference).items():
-        crossed = [linear_quantities(e, wanted, reference | {sensor: at}) for e in exams]
+        crossed = [linear_quantities(exam, own, reference | {sensor: at}) for exam, own in asked]
         if all(_agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
             sides = [
                 side | {key: q for key, q in at_crossing.items() if key[1] == sensor}

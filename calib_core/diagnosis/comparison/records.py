@@ -25,7 +25,7 @@ class Discrepancy:
     """One thing that differs. difference: None where only one of the two has the effect at all.
 
     finding: the single recording's finding where it comes from one (`recorded` or `simulated` has it).
-    log_bayes_factor: nats for a difference, against none.
+    log_bayes_factor: nats for a difference, against none. note: what was assumed, a sentence, "" for nothing.
     """
 
     effect: str
@@ -38,6 +38,7 @@ class Discrepancy:
     difference: Difference | None = None
     recorded: Finding | None = None
     simulated: Finding | None = None
+    note: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -231,11 +231,24 @@ def test_a_simulation_without_noise_lacks_it() -> None:
     assert {("noise_level", "accel"), ("noise_level", "gyro")} <= lacking
 
 
+def blind(recording: Recording) -> Recording:
+    return replace(recording, accelerometer=replace(recording.accelerometer, temperature=None))
+
+
+@pytest.mark.slow
+def test_a_steady_simulation_without_a_thermometer_lacks_what_follows_temperature() -> None:
+    said = answer(real(), blind(simulated(0.0)))
+    finding = only(said)
+    assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", "lacking")
+    assert (
+        holds(finding["difference"]["slope"], SLOPE) and "sim.csv has no temperature" in finding["statement"]
+    )
+    assert said["verdict"] == "identified" and said["fit"]["not_put_in"] == []
+
+
 @pytest.mark.slow
 def test_what_cannot_be_compared_is_said_with_its_reason() -> None:
-    whole = simulated(1.0)
-    blind = replace(whole, accelerometer=replace(whole.accelerometer, temperature=None))
-    said = answer(replace(recorded(phone_with(thermal(1.0)), 3), name="real.csv"), blind)
+    said = answer(replace(recorded(phone_with(thermal(1.0)), 3), name="real.csv"), blind(simulated(1.0)))
     reasons = {(n["effect"], n["sensor"]): n["reason"] for n in said["not_compared"]}
     assert reasons["gyro_bias", "gyro"] == "sim.csv: no gyroscope"
     assert reasons["accel_bias_temperature", "accel"] == "sim.csv: no temperature"
