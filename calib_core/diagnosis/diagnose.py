@@ -52,6 +52,7 @@ class Examination:
     with the hypotheses they state. timed: whether it is known when what was recorded.
     exchanged: the sensor whose axes were exchanged for a while, of which nothing slow is searched for.
     delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
+    why_no_delay: the reason then, "" where motion is too little to look for it.
     """
 
     accelerometer: Samples
@@ -66,6 +67,7 @@ class Examination:
     timed: bool = True
     exchanged: str = ""
     delay: Measured | None = None
+    why_no_delay: str = ""
 
     def diagnosis(self, recording: str) -> Diagnosis:
         """Return the findings. recording: the name it is known by."""
@@ -179,7 +181,14 @@ def _with_motion(
     turns = None if exam.exchanged else turns
     if affine is not None and turns is not None and search:
         stated += about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
-    return replace(exam, aligned=affine, turns=turns, statements=stated, delay=motion.delay)
+    return replace(
+        exam,
+        aligned=affine,
+        turns=turns,
+        statements=stated,
+        delay=motion.delay,
+        why_no_delay=motion.why_none,
+    )
 
 
 def _turned(

@@ -303,8 +303,8 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
         streams = [s for s in exam.streams if s.sensor == sensor]
         return noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
     if effect == DELAY:
-        apart = "its axes have no delay in common, or it changes"
-        return next((c.reason for c in of_motion(exam) if c.effect == DELAY), None) or apart
+        few = next((c.reason for c in of_motion(exam) if c.effect == DELAY), None)
+        return few or exam.why_no_delay or uninformed(effect)
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
         return f"too few rests of {AVERAGED:.0f} s"

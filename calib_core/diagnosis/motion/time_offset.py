@@ -13,8 +13,10 @@ from stillcal.calib_core.diagnosis.model.measurement import Measured, direct_fin
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
 from stillcal.calib_core.diagnosis.motion.delay_fit import LONGEST, Fit, drawn, fitted, summed
+from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion
@@ -36,11 +38,12 @@ class Shown:
     """What motion shows.
 
     delay: of the gyroscope behind the accelerometer, s, less what low-passes cause; None where it is not
-    known, or not one number.
+    known, or not one number. why_none: the reason, "" where motion is too little to look for it.
     """
 
     findings: list[Finding]
     delay: Measured | None = None
+    why_none: str = ""
 
 
 def shown_in_motion(
@@ -76,7 +79,8 @@ def shown_in_motion(
     axes, trend = fit.axes(motion), fit.trend(motion)
     grows = trend.grows and not (filters is not None and filters.explains_growth(trend.growth.value))
     surely = 0.0 if late is None else late.evidence.log_bayes_factor
-    if axes.differ or grows or (late is None and filters is None):
+    several = axes.differ or grows
+    if several or (late is None and filters is None):
         by_time = trend.log_chance < axes.log_chance
         late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
     arm, cause = lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where), None
@@ -84,8 +88,23 @@ def shown_in_motion(
         length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
         arm = None if filters.explains_arm(length, gravity) else arm
         cause = None if whole is None else filters.finding(whole, total, alone=late is None)
-    common = abs(beyond.value) < LONGEST and not (axes.differ or grows)
-    return Shown([f for f in (late, arm, cause) if f], beyond if common else None)
+    findings = [f for f in (late, arm, cause) if f]
+    if several:
+        return Shown(findings, None, _why_several(axes, trend, sure=late is not None))
+    if abs(beyond.value) >= LONGEST:
+        return Shown(findings, None, f"its turns tell none below {LONGEST} s")
+    return Shown(findings, beyond)
+
+
+def _why_several(axes: AxisDelays, trend: DelayTrend, *, sure: bool) -> str:
+    """Say why there is no one delay. sure: whether that there are several is a finding."""
+    if trend.log_chance < axes.log_chance:
+        return "it changes in the course of the recording" if sure else f"its early and late turns {UNTOLD}"
+    return "its axes are late by different times" if sure else f"its axes {UNTOLD}"
+
+
+UNTOLD = "do not agree about it, by how the hand moves it or by more than one delay"
+"""Said where one delay does not fit, and that there are several is not sure either."""
 
 
 def power_over_delays(

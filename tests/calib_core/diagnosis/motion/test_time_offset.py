@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.motion.time_offset import power_over_delays, shown_in_motion
+from stillcal.calib_core.diagnosis.motion.time_offset import Shown, power_over_delays, shown_in_motion
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -150,26 +150,36 @@ def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
     found = shown_in_motion(
         accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
     )
-    assert found.delay is None
+    assert found.delay is None and found.why_none == "its axes are late by different times"
     (axis,) = (f for f in found.findings if f.effect != "lever_arm")
     assert (axis.effect, axis.sensor, axis.axes) == ("unknown", "gyro", ["y"])
     assert axis.parameters["delay"].value[1] == pytest.approx(0.04 * 2 / 3, abs=0.01)
 
 
-@pytest.mark.parametrize(("growth", "tremor"), [(0.06, 0.0), (0.18, 1.5)])
-def test_a_delay_that_grows_is_no_one_delay(growth: float, tremor: float) -> None:
+def growing(growth: float, tremor: float) -> tuple[Shown, float]:
+    """Look at a delay that grows by `growth` s, and return how long the recording is, s."""
     accelerometer, gyroscope = played(11, tremor=tremor)
     t = gyroscope.t
     rate = np.stack([np.interp(t - growth * t / t[-1], t, axis) for axis in gyroscope.xyz.T], axis=1)
     late = Samples.checked(Sensor.GYROSCOPE, t, rate)
-    shown = shown_in_motion(
-        accelerometer, late, aligned(late, cut(accelerometer, late), G), G, sound_phones()["time_offset"]
-    )
+    affine = aligned(late, cut(accelerometer, late), G)
+    return shown_in_motion(accelerometer, late, affine, G, sound_phones()["time_offset"]), float(t[-1])
+
+
+def test_a_growth_that_is_not_sure_is_not_claimed_in_the_reason() -> None:
+    shown, _ = growing(0.01, 0.0)
+    assert shown.findings == [] and shown.delay is None
+    assert shown.why_none.startswith("its early and late turns do not agree about it, by how the hand moves")
+
+
+@pytest.mark.parametrize(("growth", "tremor"), [(0.06, 0.0), (0.18, 1.5)])
+def test_a_delay_that_grows_is_no_one_delay(growth: float, tremor: float) -> None:
+    shown, end = growing(growth, tremor)
     (found,), none = shown.findings, shown.delay
-    assert none is None
+    assert none is None and shown.why_none == "it changes in the course of the recording"
     low, high = found.parameters["growth"].ci95
     assert (found.effect, found.where.driver) == ("unknown", "rate of turn, with time")
     between = (
         found.where.t_end - found.where.t_start - 8.0
     )  # s from the middle of the first window to the last's
-    assert low < growth * between / t[-1] < high and low > 0.0
+    assert low < growth * between / end < high and low > 0.0
