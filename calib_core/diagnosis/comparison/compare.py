@@ -40,12 +40,14 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
-from stillcal.calib_core.diagnosis.comparison.stated import concluded, told
+from stillcal.calib_core.diagnosis.comparison.stated import concluded, differs, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 
 CROSSING_SPREAD_K = 10.0
 """K: how far from a recording's mean temperature the one lies at which a sensor was trimmed."""
@@ -71,6 +73,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     count = len(pairs) + len(direct) + len(alone)
     pairs, hidden = not_logged.without_hidden(weighed([*pairs, *direct], max(count, 1)), unlogged)
     missing += [*hidden, *unseen]
+    alone = [one for one in alone if not _is_slow_noise(one[0], pairs)]
     neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
     count -= len(hidden)
     smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
@@ -102,6 +105,12 @@ def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, 
         f"{names[1]} has no temperature: it was judged as if its temperature had changed as that of"
         f" {names[0]} did, and shows no such change."
     )
+
+
+def _is_slow_noise(finding: Finding, pairs: Sequence[Difference]) -> bool:
+    """Whether wander that one recording has is the slow noise that both surely differ in."""
+    differing = {key_of(d) for d in pairs if differs(d)}
+    return finding.where.driver == NO_DRIVER and (f"{finding.sensor}_slow_noise", finding.sensor) in differing
 
 
 def _paired(

@@ -28,6 +28,9 @@ from stillcal.calib_core.diagnosis.model.records import (
 )
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
+NO_DRIVER = "nothing that was recorded"
+"""What wander without a name follows."""
+
 BOUNDED = 2.0
 """How far beyond what a walk may have a slow Gauss-Markov process must begin to be called a walk."""
 
@@ -149,7 +152,7 @@ def _without_name(scene: Scene, by_axis: Sequence[Wander], axes: list[str], limi
         f"The {NAME[scene.sensor]}'s bias changes by {worst:.2g} {unit} (one standard deviation) in the"
         " course of the recording, more than a phone's may; no driver that was recorded explains it."
     )
-    where = Where(*scene.bins.span, SLOW_BAND, "nothing that was recorded")
+    where = Where(*scene.bins.span, SLOW_BAND, NO_DRIVER)
     evidence = Evidence(log_bayes_factor=max(w.log_bayes_factor(limit) for w in by_axis))
     return Finding(
         "unknown", scene.sensor, axes, where, {"size": _parameter(numbers, unit)}, evidence, [], say

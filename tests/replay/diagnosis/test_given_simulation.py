@@ -131,6 +131,16 @@ def test_a_gyroscopes_scale_that_follows_temperature_is_one_finding() -> None:
     assert effects(said) == {"gyro_scale_temperature"}
 
 
+@pytest.mark.slow
+def test_flicker_beyond_what_a_phone_may_have_is_slow_noise_and_nothing_besides() -> None:
+    """What has no name was told too, of the same wander."""
+    noise = msgspec.structs.replace(phone_with().accel.noise, flicker=0.008)
+    real = named(recorded(changed(phone_with(), "accel", noise=noise), 3), "real.csv")
+    assert "nothing that was recorded" in {s.finding.where.driver for s in examination(real).statements}
+    finding = only(answer(real, simulated(0.0)))
+    assert (finding["effect"], finding["relation"]) == ("accel_slow_noise", "too_small")
+
+
 def coarse(recording: Recording, step: float = 0.012) -> Recording:
     """Round the values to steps of more than two standard deviations of their noise."""
     xyz = frozen(np.rint(recording.accelerometer.xyz / step) * step)
