@@ -107,28 +107,31 @@ def reduce_view(
     columns = [np.concatenate([own, last]) for own in [*columns, last[:0]]]
     design = np.concatenate([design, always], axis=2)
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
-    blocks, groups = len(view.y), _grouped([own[seen[own]] for own in columns])
+    number = np.cumsum(seen) - 1
+    blocks, groups = len(view.y), _grouped([number[own[seen[own]]] for own in columns])
     few = stacked(view, design[:, :, :0], extra)
     volume = -2.0 * blocks * float(np.linalg.slogdet(made[0].rotation)[1])
     ends = np.cumsum([0, *(len(family.diagonals) for family in made)])
     grams = [np.empty((len(own), ends[-1], *[own.shape[1]] * 2)) for _, own in groups]
+    xy = np.zeros((ends[-1], seen.size))
     parts = []
     for family, (start, end) in zip(made, pairwise(ends), strict=True):
         root = 1.0 / np.sqrt(family.diagonals)
         y, taken, determinant = _freed(
             (family.rotation @ few) * root[:, None, :, None], view.baseline.shape[2]
         )
-        turned = family.rotation @ design
+        turned = family.rotation @ design[:, :, seen]
         roots = np.tile(root, (1, blocks))
-        flat = turned.reshape(-1, design.shape[2])
+        flat = turned.reshape(y.shape[1], -1)
         lost = (taken * roots[:, None, :]) @ flat
         log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
         for (_, own), gram in zip(groups, grams, strict=True):
             _fill(gram[:, start:end], turned.swapaxes(1, 2), 1.0 / family.diagonals, lost, own)
+        xy[start:end, seen] = (y * roots) @ flat
         prior = np.log(family.weight)
         constant = prior - 0.5 * (log_det + determinant)
-        parts.append((prior, constant, np.einsum("gn,gn->g", y, y), (y * roots) @ flat))
-    prior, constant, yy, xy = (np.concatenate(each) for each in zip(*parts, strict=True))
+        parts.append((prior, constant, np.einsum("gn,gn->g", y, y)))
+    prior, constant, yy = (np.concatenate(each) for each in zip(*parts, strict=True))
     baseline = view.parameters + (0 if extra is None else extra.shape[2])
     names = tuple(f.name for f in made for _ in f.strengths)
     return Reduced(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -202,7 +203,14 @@ def spectrum(values: Array) -> Spectrum:
     It ends at `HIGHEST`: beyond, samples between two others are not known.
     """
     n = len(values)
-    slow = np.linalg.qr(np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(2.0))[0]
+    slow, taper = _steady_and_taper(n)
     flat = values.reshape(n, -1)
-    free = (flat - slow @ (slow.T @ flat)) * np.hanning(n + 2)[1:-1, None]
+    free = (flat - slow @ (slow.T @ flat)) * taper
     return np.asarray(np.fft.rfft(free, axis=0)[: round(HIGHEST * n)].reshape(-1, *values.shape[1:]))
+
+
+@cache
+def _steady_and_taper(n: int) -> tuple[Array, Array]:
+    """Return what grows steadily, orthonormal (n, 2), and a Hann window (n, 1)."""
+    slow = np.linalg.qr(np.linspace(-1.0, 1.0, n)[:, None] ** np.arange(2.0))[0]
+    return slow, np.hanning(n + 2)[1:-1, None]

@@ -234,8 +234,9 @@ def _kurtosis(scaled: list[Array], axes: list[int]) -> Measured:
 
     Its error from the pieces left out in tenths.
     """
-    fourth = np.array([(z[:, axes] ** 4).mean(axis=1).sum() for z in scaled])
-    second = np.array([(z[:, axes] ** 2).mean(axis=1).sum() for z in scaled])
+    squares = [z[:, axes] ** 2 for z in scaled]
+    fourth = np.array([(s**2).mean(axis=1).sum() for s in squares])
+    second = np.array([s.mean(axis=1).sum() for s in squares])
     count = np.array([len(z) for z in scaled])
     part = np.arange(len(scaled)) % min(20, len(scaled))
 

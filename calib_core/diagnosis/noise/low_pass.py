@@ -1,7 +1,4 @@
-"""What the spectrum at rest says: the quiet samples themselves, their densities, and a low-pass.
-
-Densities are one-sided, by Welch's method (IEEE Trans. Audio Electroacoust. 15, 1967), piece by piece.
-"""
+"""What the spectrum at rest says: the quiet samples themselves, their densities, and a low-pass."""
 
 from __future__ import annotations
 
@@ -27,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
 
 SEGMENT = 256
@@ -112,11 +110,8 @@ def spectra(still: Quiet) -> tuple[Array, Array]:
 
     One at least.
     """
-    from scipy.signal import welch  # noqa: PLC0415 - the daemon stays light
-
     length = _segment(still)
-    used = [p for p in still.pieces if len(p) >= length]
-    power = np.array([welch(p, fs=still.rate, nperseg=length, axis=0)[1] for p in used])
+    power = densities([p for p in still.pieces if len(p) >= length], still.rate, length)
     return np.asarray(np.fft.rfftfreq(length, 1.0 / still.rate), dtype=np.float64), power
 
 

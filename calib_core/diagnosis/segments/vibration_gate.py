@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
 
 LOUD = 2.0
@@ -80,19 +81,13 @@ def without_lines(accelerometer: Samples, bins: Bins) -> Array:
     held = np.flatnonzero(last - first >= size)
     if not held.size or size < LEAST_SAMPLES:
         return bins.vibration
-    power = np.array([_power(accelerometer.xyz[first[i] : last[i]], size) for i in held])
+    pieces = [accelerometer.xyz[first[i] : last[i]] for i in held]
+    power = densities(pieces, 1.0 / period, size).sum(axis=2)
     f = np.fft.rfftfreq(size, period)
     lines = _lines(np.median(power, axis=0)) & (f > LEAST_LINE_HZ)
     broad = bins.vibration.copy()
     broad[held] *= 1.0 - power[:, lines].sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
     return broad
-
-
-def _power(xyz: Array, size: int) -> Array:
-    """Return the power (F,) of values (n, 3), of all axes together, by Welch's method from `size` samples."""
-    from scipy.signal import welch  # noqa: PLC0415 - the daemon stays light
-
-    return np.asarray(welch(xyz, nperseg=size, axis=0)[1].sum(axis=1))
 
 
 def _lines(power: Array) -> NDArray[np.bool_]:

@@ -124,9 +124,10 @@ def _exchanged(moved: Array) -> list[Misplaced]:
     # Row 4 + i and the one after are exchanged: residuals that know either change by `change` times the step.
     change = residual(np.array([0, 0, 0, 0, 1, -1, 0, 0, 0, 0], dtype=np.float64)[:, None])[:, 0]
     step = np.diff(moved, axis=0)[2 * REACH : 2 * REACH + n]
-    rows = [left[i : i + n] for i in range(EXCHANGED)]
-    before = np.asarray(sum((r**2).sum(axis=1) for r in rows))
-    along = np.asarray(sum((step * r).sum(axis=1) * c for r, c in zip(rows, change, strict=True)))
+    power = (left**2).sum(axis=1)
+    before = np.asarray(sum(power[i : i + n] for i in range(EXCHANGED)))
+    changed = np.asarray(sum(left[i : i + n] * c for i, c in enumerate(change)))
+    along = (step * changed).sum(axis=1)
     after = before + 2.0 * along + (step**2).sum(axis=1) * float(change @ change)
     nats = _nats(before, after, moved.shape[1], EXCHANGED, 2.0 * len(moved))
     return [Misplaced(int(i) + 4, int(i) + 6, float(nats[i])) for i in np.flatnonzero(nats > 0.0)]

@@ -93,16 +93,18 @@ def by_chance(xyz: Array, still: Flags) -> float:
     At rest or in motion, whichever is oftener: a range that is switched has coarser steps in motion.
     """
     least = 1.0 / max(len(xyz), 1)
-    usual = [_usual_share(xyz, rows) for rows in (still, ~still)]
+    code = _hashed(xyz)
+    usual = [_usual_share(code, rows) for rows in (still, ~still)]
     return min(CORRELATED * max([least, *(share for share in usual if share is not None)]), 1.0)
 
 
-def _usual_share(xyz: Array, among: Flags) -> float | None:
-    """Return the part of some rows that equals one a few samples earlier, the median of `LAGS`."""
+def _usual_share(code: NDArray[np.uint64], among: Flags) -> float | None:
+    """Return the part of some rows that equals one a few samples earlier, the median of `LAGS`.
+
+    code: (n,), of rows as `_hashed` has them.
+    """
     shares = [
-        float((xyz[k:] == xyz[:-k]).all(axis=1)[both].mean())
-        for k in LAGS
-        if (both := among[k:] & among[:-k]).any()
+        float((code[k:] == code[:-k])[both].mean()) for k in LAGS if (both := among[k:] & among[:-k]).any()
     ]
     return float(np.median(shares)) if shares else None
 
