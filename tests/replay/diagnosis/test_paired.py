@@ -96,6 +96,15 @@ def test_a_paired_simulation_that_is_right_is_a_match() -> None:
 
 
 @pytest.mark.slow
+def test_the_earths_rotation_that_a_simulation_leaves_out_is_no_effect_of_the_gyroscope() -> None:
+    real, sim = recording(1, noise=0.05), recording(2, noise=0.05, name="sim.csv")
+    assert real.gyroscope is not None
+    earth = _attitude(real.gyroscope.t).inv().apply([0.0, 4.9e-5, 5.4e-5])
+    turned_too = replace(real.gyroscope, xyz=frozen(real.gyroscope.xyz + earth))
+    said = judge_paired(replace(real, gyroscope=turned_too), sim).answer
+    assert said["findings"] == [] and said["verdict"] == "match"
+
+
 def test_what_fits_no_model_in_motion_is_no_bias_and_no_scale() -> None:
     """The gyroscope takes up force that only motion has; at rest, three quarters of the time, nothing is."""
 

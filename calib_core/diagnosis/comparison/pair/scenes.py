@@ -6,13 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import MODEL_ERROR
+from stillcal.calib_core.diagnosis.comparison.pair.earth import of_ground
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View
+from stillcal.calib_core.diagnosis.model.scenes import EARTH
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
@@ -36,7 +39,8 @@ def pair_scenes(
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
     which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
     where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
-    their form. Raises NotSupported where it is too short.
+    their form. Where the motion is the same (mismatch 0) the other may lack the Earth's rotation. Raises
+    NotSupported where it is too short.
     """
     t = difference.force.t
     span = (float(t[0]), float(t[-1]))
@@ -62,8 +66,15 @@ def pair_scenes(
     if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
         assert true.rate is not None, "it was cut"
         inputs = (moved.rate, None if known is None else known.rate)
-        scenes.append(scene("gyro", left.rate, left.rate_variance, true.rate, inputs))
+        gyro = scene("gyro", left.rate, left.rate_variance, true.rate, inputs)
+        scenes.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
     return bins, scenes
+
+
+def _with_earth(scene: Scene, rate: Samples, still: NDArray[np.bool_]) -> Scene:
+    """Return the gyroscope's scene, free by the Earth's rotation, which the other sensor may lack."""
+    columns = scene.columns_of(of_ground(rate, scene.bins, still))
+    return replace(scene, shared=Hypothesis(EARTH, {}, columns))
 
 
 def _views(
