@@ -105,6 +105,19 @@ def test_the_earths_rotation_that_a_simulation_leaves_out_is_no_effect_of_the_gy
     assert said["findings"] == [] and said["verdict"] == "match"
 
 
+def test_a_scale_is_that_of_the_correction_however_large() -> None:
+    """A sensor that reads 5 % too much is corrected by 1 / 1.05, which is not 5 % less."""
+    real, sim = recording(1, noise=0.05), recording(2, noise=0.05, name="sim.csv")
+    assert real.gyroscope is not None
+    gains = np.array([[1.05, 0.01, 0.0], [-0.02, 0.97, 0.0], [0.0, 0.0, 1.0]])
+    wrong = replace(real.gyroscope, xyz=frozen(real.gyroscope.xyz @ gains.T))
+    said = judge_paired(replace(real, gyroscope=wrong), sim).answer
+    (found,) = said["findings"]
+    assert found["effect"] == "gyro_scale"
+    truth = np.linalg.inv(gains) - np.eye(3)
+    np.testing.assert_allclose(found["difference"]["scale"]["value"], truth, atol=3e-4)
+
+
 def test_what_fits_no_model_in_motion_is_no_bias_and_no_scale() -> None:
     """The gyroscope takes up force that only motion has; at rest, three quarters of the time, nothing is."""
 

@@ -99,9 +99,13 @@ def _bias(sensor: str, value: Array, covariance: Array, where: Where, at: dict[s
 
 
 def _scale(sensor: str, value: Array, covariance: Array, where: Where, at: dict[str, float]) -> Quantity:
-    """Return the scale of the correction, nine numbers: what the sensor reads too much, negated."""
-    rows = slice(3, 12)
+    """Return the scale of the correction, nine numbers: the inverse of what the sensor reads of the input."""
+    rows, one = slice(3, 12), np.eye(3)
+    correction = np.linalg.inv(one + value[rows].reshape(3, 3))
+    # Of the inverse C the differential is -C dG C, here row by row.
+    change = -np.kron(correction, correction.T)
+    scale, spread = (correction - one).ravel(), change @ covariance[rows, rows] @ change.T
     part = (Part("scale", "1", 9),)
     sizes, alike, axes = GAIN_SIZES.ravel(), np.full(9, ALIKE_SCALE), np.repeat(np.arange(3), 3)
-    return Quantity(f"{sensor}_scale", sensor, part, -value[rows], covariance[rows, rows], sizes,
+    return Quantity(f"{sensor}_scale", sensor, part, scale, spread, sizes,
                     alike, axes, reference=at, where=where)  # fmt: skip
