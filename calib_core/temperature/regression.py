@@ -240,6 +240,20 @@ _BORDER = 1e30
 """Any number above the sum of squares of whitened values."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Judged:
+    """A wander with its score and what it was judged by.
+
+    factor: (n, n) the Cholesky factor L of the covariance of all values, None where that has none; whitened:
+    (n, k) L^-1 value.
+    """
+
+    wander: Wander
+    score: float
+    factor: Array | None
+    whitened: Array
+
+
 class Regression:
     """The regression of one set of observations, with or without a curve of temperature."""
 
@@ -273,18 +287,17 @@ class Regression:
         now: s, the time that the bias is wanted for. start: where the search for the wander begins; without
         a search, that is the wander.
         """
-        if search or start is None:
-            wander, score = self._likeliest(steps, start)
-        else:
-            wander, score = start, self._score(start, steps)
-        factor, whitened = self._factor(wander, steps)
+        best = self._likeliest(steps, start) if search or start is None else self._judged(start, steps)
+        if best.factor is None:
+            raise np.linalg.LinAlgError("the covariance of the rests is not positive definite")
+        wander, factor, whitened = best.wander, best.factor, best.whitened
         diagonal = np.diag(factor)
         mean, covariance = self._present(wander, factor, whitened, now, steps)
         p = self._seen.level.shape[1]
         return Fit(
             self._model,
             wander,
-            score,
+            best.score,
             frozen(whitened * diagonal[:, None]),
             frozen(diagonal),
             frozen(mean[:p]),
@@ -330,15 +343,16 @@ class Regression:
         factor = np.linalg.cholesky(bordered)
         return factor[:n, :n], factor[n:, :n].T
 
-    def _score(self, wander: Wander, steps: tuple[Step, ...]) -> float:
-        """Return the log likelihood of the rests, with the log prior of the wander."""
+    def _judged(self, wander: Wander, steps: tuple[Step, ...]) -> _Judged:
+        """Return a wander whose score is the log likelihood of the rests plus its own log prior."""
         try:
             factor, whitened = self._factor(wander, steps)
         except np.linalg.LinAlgError:
-            return -np.inf
+            return _Judged(wander, -np.inf, None, np.empty((0, 0)))
         columns = whitened.shape[1]
         likelihood = -0.5 * float((whitened**2).sum()) - columns * float(np.log(np.diag(factor)).sum())
-        return float(likelihood - 0.5 * (self._places(wander) ** 2).sum())
+        score = float(likelihood - 0.5 * (self._places(wander) ** 2).sum())
+        return _Judged(wander, score, factor, whitened)
 
     def _places(self, wander: Wander) -> Array:
         p = self._priors
@@ -347,25 +361,26 @@ class Regression:
         declared = np.log(wander.declared / _USUALLY_DECLARED) / _DECLARED_SPREAD
         return np.append(np.log(ratios) / p.spread, declared)
 
-    def _likeliest(self, steps: tuple[Step, ...], start: Wander | None) -> tuple[Wander, float]:
-        """Return the wander of greatest posterior, by a search along its logarithms, and its score."""
+    def _likeliest(self, steps: tuple[Step, ...], start: Wander | None) -> _Judged:
+        """Return the wander of greatest posterior, by a search along its logarithms."""
         p = self._priors
-        best = start or Wander(p.white, p.flicker, p.walk / np.sqrt(86400.0))
-        score = self._score(best, steps)
+        best = self._judged(start or Wander(p.white, p.flicker, p.walk / np.sqrt(86400.0)), steps)
+        known = {best.wander}
         for factor in (2.0, 1.4) if start else (4.0, 2.0, 1.4):
             for _ in range(3):
-                before = score
+                before = best
                 for name in ("white", "flicker", "walk", "declared"):
                     for by in (factor, 1 / factor):
-                        tried = replace(best, **{name: getattr(best, name) * by})
-                        if tried.declared > 1.0:
+                        tried = replace(best.wander, **{name: getattr(best.wander, name) * by})
+                        if tried.declared > 1.0 or tried in known:
                             continue
-                        if (other := self._score(tried, steps)) > score:
-                            best, score = tried, other
+                        known.add(tried)
+                        if (other := self._judged(tried, steps)).score > best.score:
+                            best = other
                             break
-                if score == before:
+                if best is before:
                     break
-        return best, score
+        return best
 
     def _present(
         self, wander: Wander, factor: Array, whitened: Array, now: float, steps: tuple[Step, ...]
