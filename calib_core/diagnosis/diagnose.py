@@ -122,7 +122,7 @@ def examine(
     are all. delivered_twice: samples that came twice and are here once. progress: is called with the share
     of the work that is done.
     """
-    _refuse_too_little(accelerometer)
+    refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
@@ -204,7 +204,8 @@ def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:
     return float(len(accelerometer) if overview is None else overview.force.count.sum())
 
 
-def _refuse_too_little(accelerometer: Samples) -> None:
+def refuse_too_little(accelerometer: Samples) -> None:
+    """Raise NotSupported where not even the stamps can be judged."""
     if len(accelerometer) < LEAST_SAMPLES:
         raise NotSupported(
             f"{len(accelerometer)} samples of the accelerometer", (f"at least {LEAST_SAMPLES}",)

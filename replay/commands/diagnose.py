@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import click
+import numpy as np
 
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
@@ -26,7 +28,7 @@ from stillcal.replay.commands.outputs import (
     refuse_collisions,
     write_output,
 )
-from stillcal.replay.commands.reading import Reading, reading_options, show_notes
+from stillcal.replay.commands.reading import READING, Reading, reading_options, show_notes
 from stillcal.replay.diagnosis.condense import read_condensed
 from stillcal.replay.diagnosis.diagnose import Request, diagnose
 from stillcal.replay.diagnosis.judged import ShowStage
@@ -37,6 +39,7 @@ from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.phone.phone import Phone, dump_phone, load_phone
@@ -309,7 +312,7 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
         recording = replace(recording, covariates=read_covariates(asked.trace, asked.covariates))
     simulated = None
     if asked.simulated is not None:
-        simulated = _read(asked.simulated_reading, asked.simulated, show_stage, whole=whole)
+        simulated = _read_simulation(asked, asked.simulated, show_stage, whole=whole)
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else Path(asked.phone).name
@@ -319,6 +322,10 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     made = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC: {command_line()}"
     text = page(outcome.judged, made) if asked.report is not None else None
     notes = [*recording.notes, *(simulated.notes if simulated is not None else ())]
+    if simulated is not None and np.array_equal(simulated.accelerometer.xyz, recording.accelerometer.xyz):
+        notes.append(
+            f"{simulated.name} holds the very samples of {recording.name}: it is compared with itself"
+        )
     left = None if asked.residuals is None else residuals_csv(outcome.judged.recorded)
     return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes, left)
 
@@ -332,6 +339,15 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
     if whole:
         return trace.recording(trace.name_of(path), lambda done: show_stage(stage, done))
     return read_condensed(trace, path, lambda done: show_stage(stage, done))
+
+
+def _read_simulation(asked: _Asked, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:
+    """Read the simulation; the remedies of errors name its own options."""
+    try:
+        return _read(asked.simulated_reading, path, show_stage, whole=whole)
+    except TraceError as error:
+        remedy = re.sub(rf"--({'|'.join(READING)})\b", r"--simulated-\1", error.remedy)
+        raise TraceError(error.file, error.what, remedy, error.row) from error
 
 
 def _witness(path: Path, sensor: str | None, show_stage: ShowStage) -> Recording:

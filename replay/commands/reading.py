@@ -19,6 +19,9 @@ from stillcal.replay.formats.trace import Trace, open_trace
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+READING = ("format", "sensor", "gyro", "from", "to")
+"""The options of `reading_options`, without dashes and prefix."""
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:

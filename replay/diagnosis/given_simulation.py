@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of
-from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, silent
+from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, refuse_short, silent
 from stillcal.replay.formats.trace import Recording
 
 Correct = Callable[[Comparison, dict[str, Any]], Corrected]
@@ -34,6 +34,7 @@ ON_VALUES = (*OF_DENSITY, "saturation", "bandwidth", "time_offset")
 
 def judge_simulation(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Compare a recording with a simulation's. Raises NotSupported where either has too little data."""
+    refuse_short(recording, simulation)
     recorded = examined(recording, show_stage)
     simulated = examined(simulation, show_stage)
     return judge_examined(recording, recorded, simulation, simulated, show_stage=show_stage)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,7 +11,7 @@ import msgspec
 
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine, refuse_too_little
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import NotSupported
@@ -61,7 +62,7 @@ def examined(
     """
     stage = f"examining {name or recording.name or 'the recording'}"
     show_stage(stage, 0.0)
-    try:
+    with _by_name(recording):
         return examine(
             recording.accelerometer,
             recording.gyroscope,
@@ -74,6 +75,20 @@ def examined(
             delivered_twice=recording.delivered_twice,
             progress=lambda done: show_stage(stage, done),
         )
+
+
+def refuse_short(*recordings: Recording) -> None:
+    """Raise NotSupported, with the recording's name, for the first that is too short to be examined."""
+    for recording in recordings:
+        with _by_name(recording):
+            refuse_too_little(recording.accelerometer)
+
+
+@contextmanager
+def _by_name(recording: Recording) -> Iterator[None]:
+    """Put the recording's name before the reason of a refusal."""
+    try:
+        yield
     except NotSupported as refusal:
         where = f"{recording.name}: " if recording.name else ""
         raise NotSupported(f"{where}{refusal.reason}", refusal.missing) from refusal

@@ -33,7 +33,14 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import clipped, correct, low_passed
 from stillcal.replay.diagnosis.given_simulation import ON_VALUES, with_own_values
-from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
+from stillcal.replay.diagnosis.judged import (
+    Judged,
+    ShowStage,
+    charging_events,
+    examined,
+    refuse_short,
+    silent,
+)
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.formats.trace import Recording
 
@@ -59,6 +66,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     """
     _refuse_itself(recording, [simulation])
     _refuse_other_stamps(recording, simulation)
+    refuse_short(recording, simulation)
     recorded = examined(recording, show_stage, search=False)
     simulated = examined(simulation, show_stage, search=False)
     exams, names = (recorded, simulated), (recording.name, simulation.name)

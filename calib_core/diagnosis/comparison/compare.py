@@ -22,8 +22,8 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
 )
 from stillcal.calib_core.diagnosis.comparison.looked_for import (
     checks_of,
+    direct_checks,
     obstacle,
-    of_motion,
     uninformed,
     why_not_logged,
 )
@@ -311,9 +311,9 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     if effect in (noise.LEVEL, noise.LOW_PASS):
         streams = [s for s in exam.streams if s.sensor == sensor]
         return noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
-    if effect == DELAY:
-        few = next((c.reason for c in of_motion(exam) if c.effect == DELAY), None)
-        return few or exam.why_no_delay or uninformed(effect)
+    if sensor == "timing":
+        unlooked = next((c.reason for c in direct_checks(exam) if (c.effect, c.sensor) == key), None)
+        return unlooked or exam.why_no_delay or uninformed(effect)
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
         return f"too few rests of {AVERAGED:.0f} s"

@@ -86,6 +86,7 @@ def density(stream: Stream) -> Quantity | None:
         np.arange(3),
         logarithmic=True,
         where=Where(*_span(stream.samples), (0.0, stream.still.rate / 2.0), "noise at rest"),
+        none=silent,
     )
 
 

@@ -158,16 +158,21 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     if relation == "superfluous":
         own = _every(finding, "simulated")
         return f"{simulation} has what {recording} does not show: {what}, {own}. Take it out."
+    return _of_both(finding, recording, simulation, name)
+
+
+def _of_both(finding: Mapping[str, Any], recording: str, simulation: str, name: str | None) -> str:
+    """Return how a parameter that both have differs, and by how much to change it."""
+    what = noun(finding["effect"], finding["sensor"])
     recorded, simulated = (_side(finding, side, name) for side in ("parameters", "simulated"))
     what = f"cutoff of the {what}" if finding["effect"] == LOW_PASS else what
     word = _word(finding, name)
-    text = f"The {what} {word} in {simulation}: {simulated}, recorded {recorded}."
-    if not _overlap(finding, name):
-        return text
-    apart = (
-        "scale_against_mean" if name == "scale" and "scale_against_mean" in finding["difference"] else name
-    )
-    return f"{text} The difference is {_side(finding, 'difference', apart)}."
+    text = f"The {what} {word} in {simulation}: {simulated}; {recording} has {recorded}."
+    if name not in finding["difference"]:
+        return f"{text} Set it to that."
+    if name == "scale" and "scale_against_mean" in finding["difference"] and _overlap(finding, name):
+        return f"{text} The difference is {_side(finding, 'difference', 'scale_against_mean')}."
+    return f"{text} Change it by {_side(finding, 'difference', name)}."
 
 
 def _overlap(finding: Mapping[str, Any], name: str | None) -> bool:

@@ -47,7 +47,9 @@ def outcome(answer: Mapping[str, Any]) -> str:
     left = ", ".join(dict.fromkeys(noun(effect, "") for effect in fit["not_put_in"] if effect != "unknown"))
     without = f" These could not be put in and are left out of both: {left}." if left else ""
     if {f["effect"] for f in answer["findings"]} <= set(fit["not_put_in"]):
-        return _nothing_put_in(simulation, fit, nameless) + without
+        return (
+            _nothing_put_in(simulation, fit, left) if not nameless else _nameless(simulation, fit) + without
+        )
     passes = "passes" if fit["p_after"] >= LEVEL else "still fails"
     numbers = f"bound of p: {fit['p_after']:.2g}; before {fit['p_before']:.2g}"
     still = ", ".join(noun(one["effect"], one["sensor"]) for one in fit["still_different"])
@@ -57,15 +59,22 @@ def outcome(answer: Mapping[str, Any]) -> str:
     return f"With {put} put in, {simulation} {passes} the same comparison ({numbers}).{where}{both}{without}"
 
 
-def _nothing_put_in(simulation: str, fit: Mapping[str, Any], nameless: bool) -> str:
-    """Return how a simulation fits into which nothing of what was found could be put."""
+def _nothing_put_in(simulation: str, fit: Mapping[str, Any], left: str) -> str:
+    """Return how a simulation fits apart from what was found, none of which can be put into it."""
     passes = "passes" if fit["p_before"] >= LEVEL else "fails"
-    what, rest = (
-        ("What has no name", "as before") if nameless else ("Nothing of what was found", "in all else")
+    return (
+        f"This cannot be put into the samples of {simulation}: {left}. In all else it {passes} the comparison"
+        f" (bound of p: {fit['p_before']:.2g})."
     )
-    cannot = "cannot" if nameless else "can"
-    text = f"{what} {cannot} be put into {simulation}: it {passes} the comparison {rest}"
-    return f"{text} (bound of p: {fit['p_before']:.2g})."
+
+
+def _nameless(simulation: str, fit: Mapping[str, Any]) -> str:
+    """Return how a simulation fits of which all that was found has no name."""
+    passes = "passes" if fit["p_before"] >= LEVEL else "fails"
+    return (
+        f"What has no name cannot be put into {simulation}: it {passes} the comparison as before"
+        f" (bound of p: {fit['p_before']:.2g})."
+    )
 
 
 def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:

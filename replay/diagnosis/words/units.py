@@ -46,6 +46,7 @@ SMALL_IN = {"m": 0.1, "s": 0.5}
 def shown_in(values: ArrayLike, unit: str, name: str = "") -> Scale:
     """Return the factor and the unit in which values of a parameter are easily read.
 
+    Changes with temperature are in the coarsest unit whatever their size, so that all are in one.
     values: in `unit`, any shape; name: of the parameter, which tells what a number without a unit is.
     """
     if unit == "1":
@@ -60,7 +61,7 @@ def shown_in(values: ArrayLike, unit: str, name: str = "") -> Scale:
         return 1.0, pretty(unit)
     suffix = pretty(unit.removeprefix(base))
     size = float(np.max(np.abs(np.asarray(values, dtype=np.float64)), initial=0.0))
-    scales = SCALES[base]
+    scales = SCALES[base][:1] if suffix.startswith("/K") else SCALES[base]
     for factor, shown in scales:
         if size * factor >= SMALL_IN.get(shown, SMALL):
             return factor, shown + suffix

@@ -237,8 +237,10 @@ def test_a_simulation_without_noise_lacks_it() -> None:
     quiet = type(phone.accel.noise)()
     silent = changed(changed(phone, "accel", noise=quiet, lsb=0.0), "gyro", noise=quiet, lsb=0.0)
     found = answer(recorded(phone, 3), recorded(silent, 8))["findings"]
-    lacking = {(f["effect"], f["sensor"]) for f in found if f["relation"] == "lacking"}
-    assert {("noise_level", "accel"), ("noise_level", "gyro")} <= lacking
+    lacking = {(f["effect"], f["sensor"]): f for f in found if f["relation"] == "lacking"}
+    assert {("noise_level", "accel"), ("noise_level", "gyro")} <= lacking.keys()
+    level = lacking["noise_level", "gyro"]
+    assert level["simulated"]["density"]["value"] == [0.0] * 3 and "ratio" not in level["difference"]
 
 
 def blind(recording: Recording) -> Recording:
@@ -287,8 +289,10 @@ def test_every_quantity_says_how_small_a_difference_it_would_have_shown() -> Non
 def test_too_short_a_simulation_is_refused_by_name() -> None:
     short = simulated(0.0)
     cut = replace(short, accelerometer=short.accelerometer.between(0.0, 5.0), gyroscope=None)
+    stages: list[str] = []
     with pytest.raises(NotSupported, match=r"sim\.csv"):
-        judge_simulation(real(0.0), cut)
+        judge_simulation(real(0.0), cut, lambda stage, _done: stages.append(stage))
+    assert stages == [], "before the recording is examined, which takes long"
 
 
 def test_the_command_blames_the_recording_that_is_too_short(tmp_path: Path) -> None:
@@ -349,6 +353,19 @@ def test_the_command_judges_and_fails_where_it_is_asked_to(written: Any, tmp_pat
     assert (said["schema"], said["recording"], said["simulation"]) == (2, "real.csv", "sim.csv")
     told = answer(real(), simulated(0.0))["findings"]
     assert [f["statement"] for f in said["findings"]] == [f["statement"] for f in told]
+
+
+def test_a_recording_given_as_its_own_simulation_is_said_so(written: Any) -> None:
+    trace = written(real(0.0), "real.csv")
+    done = run(trace, "--simulated", trace)
+    assert done.exit_code == 0
+    assert "real.csv holds the very samples of real.csv: it is compared with itself" in done.stderr
+
+
+def test_the_remedy_for_a_simulation_names_its_own_option(written: Any, tmp_path: Path) -> None:
+    (tmp_path / "sim.csv").write_text("hello\nworld\n")
+    done = run(written(real(0.0), "real.csv"), "--simulated", tmp_path / "sim.csv")
+    assert "column map given as --simulated-format" in str(done.exception)
 
 
 def test_only_a_part_of_the_simulation_is_judged_where_it_is_asked_for(written: Any) -> None:

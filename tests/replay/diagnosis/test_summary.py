@@ -51,6 +51,15 @@ def test_nothing_is_said_to_be_put_in_where_nothing_was(fit: dict[str, Any], say
     assert "With what has a name put in" in text and "counts in both" in text
 
 
+def test_what_cannot_be_put_into_samples_is_named_and_the_rest_judged() -> None:
+    said = answer("sample_rate", "identified", p_after=1.0, not_put_in=["sample_rate"])
+    said["fit"]["p_before"] = 1.0
+    assert outcome(said | {"simulation": "sim.csv"}) == (
+        "This cannot be put into the samples of sim.csv: sample rate. In all else it passes the comparison"
+        " (bound of p: 1)."
+    )
+
+
 def test_a_correction_that_fails_names_what_differs_in_spite_of_it() -> None:
     left = [{"effect": "noise_heavy_tailed", "sensor": "accel"}]
     text = outcome(answer("noise_heavy_tailed", "partly_identified", p_after=1e-9, still_different=left))

@@ -41,6 +41,9 @@ def test_one_that_is_not_known_is_not_compared_with_the_reason(exam: Examination
     rough = compare(with_delay(exam, 8e-3, 6e-3), with_delay(exam, 0.0), NAMES)
     (why,) = (n.reason for n in rough.not_compared if n.effect == DELAY)
     assert why == "real.csv: its turns do not tell it from how the hand moves it"
+    arrived = replace(exam, accelerometer=replace(exam.accelerometer, t_arrival=exam.accelerometer.t))
+    reasons = {n.effect: n.reason for n in compare(arrived, exam, NAMES).not_compared}
+    assert reasons["arrival_bursts"] == "sim.csv: no arrival times"
     none = compare(with_delay(exam, 8e-3), replace(exam, delay=None), NAMES)
     (why,) = (n.reason for n in none.not_compared if n.effect == DELAY)
     assert why.startswith("sim.csv: the phone turns in ")
