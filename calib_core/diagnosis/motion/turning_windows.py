@@ -59,22 +59,6 @@ class Window:
         arm = spectrum(back @ of_arm(t, rate))
         return cls(t, rate, back, arm * _part_of_motion(arm, t, rate)[:, None, :])
 
-    def felt(self, force: Array) -> tuple[Array, Array]:
-        """Return force (n, 3) turned back, and its mean direction (3,), up."""
-        still = np.einsum("nij,nj->ni", self.back, force)
-        mean = still.mean(axis=0)
-        return still, np.asarray(mean / np.linalg.norm(mean))
-
-    def equations(self, force: Array, gravity: float) -> tuple[Spectrum, Spectrum]:
-        """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), as spectra.
-
-        Both are turned back to the window's start, and free of gravity and of what grows steadily.
-        """
-        still, up = self.felt(force)
-        late = -gravity * np.cross(self.rate, np.einsum("nji,j->ni", self.back, up))
-        turned = spectrum(np.einsum("nij,nj->ni", self.back, late))
-        return np.concatenate([self.arm, turned[:, :, None]], axis=2), spectrum(still)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
@@ -114,18 +98,26 @@ class Motion:
         return np.asarray((middle - middle.mean()) / float(np.ptp(middle)))
 
     def equations(self, delay: float, growth: float = 0.0) -> tuple[list[Spectrum], list[Spectrum]]:
-        """Return the equations of all windows, the accelerometer read earlier by a delay that grows, s."""
-        made = [
-            w.equations(force_at(self.accelerometer, self.baseline, w.t - each), self.gravity)
-            for w, each in zip(self.windows, delay + growth * self.age(), strict=True)
-        ]
-        return [x for x, _ in made], [y for _, y in made]
+        """Return what an arm and a delay do (f, 3, 4) and what there is to explain (f, 3), by window.
+
+        Both are spectra of what is turned back to the window's start, free of gravity and of what grows
+        steadily. The accelerometer is read earlier by a delay that grows, s.
+        """
+        every = [(w.t, w.rate, w.back, w.arm) for w in self.windows]
+        t, rate, back, arm = (np.stack(each) for each in zip(*every, strict=True))
+        times = t - (delay + growth * self.age())[:, None]
+        force = force_at(self.accelerometer, self.baseline, times.ravel()).reshape(rate.shape)
+        still, up = felt(back, force)
+        late = -self.gravity * np.cross(rate, np.einsum("knji,kj->kni", back, up))
+        turned = np.einsum("knij,knj->kni", back, late)
+        by_delay, left = (spectrum(x.swapaxes(0, 1)).swapaxes(0, 1) for x in (turned, still))
+        return list(np.concatenate([arm, by_delay[..., None]], axis=3)), list(left)
 
     def of_axes(self) -> list[Spectrum]:
         """Return what delays of single axes do, as spectra (f, 3, 4) a window."""
         made = []
         for w in self.windows:
-            _, up = w.felt(force_at(self.accelerometer, self.baseline, w.t))
+            _, up = felt(w.back, force_at(self.accelerometer, self.baseline, w.t))
             made.append(spectrum(axis_columns(w.t, w.back, w.rate, up, self.gravity)))
         return made
 
@@ -180,6 +172,13 @@ def _covered(t: Array, stamps: Array) -> bool:
 
 def _apart(t: Array, spoiled: Where) -> bool:
     return bool(t[-1] < spoiled.t_start or t[0] > spoiled.t_end)
+
+
+def felt(back: Array, force: Array) -> tuple[Array, Array]:
+    """Return force (..., n, 3) turned back by `back` (..., n, 3, 3), and its mean direction (..., 3), up."""
+    still = np.einsum("...nij,...nj->...ni", back, force)
+    mean = still.mean(axis=-2)
+    return still, np.asarray(mean / np.linalg.norm(mean, axis=-1, keepdims=True))
 
 
 def force_at(samples: Samples, baseline: Baseline | None, t: Array) -> Array:

@@ -7,6 +7,7 @@ what it leaves goes up and down twice in each of its periods.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -45,11 +46,17 @@ def lines(series: Array) -> Array:
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
     length = next_fast_len(series.size + 1, real=True) // 2 * 2
-    power = np.abs(np.fft.rfft(series * np.hanning(series.size), length)) ** 2
+    power = np.abs(np.fft.rfft(series * _taper(series.size), length)) ** 2
     own, every = 2 * OWN + 1, 2 * (ASIDE + OWN) + 1
     around = every * uniform_filter1d(power, every) - own * uniform_filter1d(power, own)
     usual = np.maximum(around / (every - own), 1e-300)
     return np.asarray(INDEPENDENT * np.log1p(power / usual / INDEPENDENT))
+
+
+@lru_cache(maxsize=1)
+def _taper(n: int) -> Array:
+    """Return a Hann window (n,); all series of a sensor are as long."""
+    return np.hanning(n)
 
 
 def without_lines(left: Array) -> Array:
