@@ -13,12 +13,21 @@ from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, Held
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
-from stillcal.calib_core.diagnosis.slow.search import LN10, Scored, Step, adequate, forward, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import (
+    LN10,
+    Scored,
+    Step,
+    adequate,
+    forward,
+    reduce_scene,
+    without_name,
+)
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.diagnosis.slow.wander import wander
 
@@ -114,8 +123,8 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
     what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
-    the others; names are then weighed anew. Where nothing is left, structure that was a rival of the first
-    name is tried.
+    the others; names are then weighed anew. A name whose sizes are not told is taken off. Where nothing is
+    left, structure that was a rival of the first name is tried.
     """
     first = steps[0] if steps else None
     while kept := adequate(steps):
@@ -129,6 +138,10 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         if by_chance:
             steps = _without(steps, by_chance[-1])
             continue
+        unsized = [step for step, e in zip(kept, estimates, strict=True) if _unsized(e)]
+        if unsized:
+            steps = [without_name(s) if s.winner.fit is unsized[-1].winner.fit else s for s in steps]
+            continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [_supported(f) for f in made]
         if min(gains) > 0.0:
@@ -137,6 +150,15 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         steps = _without(steps, weak[-1])
     rival = _rival(first) if first else None
     return statements_of(scene, [Step(rival, ())]) if rival else []
+
+
+def _unsized(found: Estimate) -> bool:
+    """Whether a name with a moment or a time constant has sizes that may be nothing, each of them.
+
+    They differ with the moment then: something changes, and it is not what the name says.
+    """
+    named = found.hypothesis.effect.name != "unknown" and bool(found.hypothesis.grid)
+    return named and bool((np.abs(found.value) < NORMAL_95 * found.sigma).all())
 
 
 def _by_chance(found: Estimate, count: int) -> bool:

@@ -260,10 +260,13 @@ def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
     times = sum(name in (_effect(s), s.winner.hypothesis.effect.several_of) for s in steps)
     if name == "unknown" or times < 2:
         return step
-    hypothesis = step.winner.hypothesis
-    return replace(
-        step, winner=replace(step.winner, hypothesis=replace(hypothesis, effect=nameless(hypothesis.effect)))
-    )
+    return without_name(step)
+
+
+def without_name(step: Step) -> Step:
+    """Return a step whose winner has no name any more."""
+    own = step.winner.hypothesis
+    return replace(step, winner=replace(step.winner, hypothesis=replace(own, effect=nameless(own.effect))))
 
 
 def ranking(scene: Scene, effects: Sequence[Effect], found: Sequence[Hypothesis] = ()) -> list[Scored]:
