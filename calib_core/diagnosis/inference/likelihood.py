@@ -117,16 +117,20 @@ def reduce_view(
     parts = []
     for family, (start, end) in zip(made, pairwise(ends), strict=True):
         root = 1.0 / np.sqrt(family.diagonals)
-        y, taken, determinant = _freed(
+        y, own, found, determinant = _freed(
             (family.rotation @ few) * root[:, None, :, None], view.baseline.shape[2]
         )
         turned = family.rotation @ design[:, :, seen]
         roots = np.tile(root, (1, blocks))
         flat = turned.reshape(y.shape[1], -1)
-        lost = (taken * roots[:, None, :]) @ flat
+        by_block = np.swapaxes(own * root[:, None, :, None], -1, -2) @ turned
+        lost = np.concatenate(
+            [by_block.reshape(len(root), view.parameters, flat.shape[1]), (found * roots[:, None, :]) @ flat],
+            axis=1,
+        )
         log_det = blocks * np.log(family.diagonals).sum(axis=1) + volume
-        for (_, own), gram in zip(groups, grams, strict=True):
-            _fill(gram[:, start:end], turned.swapaxes(1, 2), 1.0 / family.diagonals, lost, own)
+        for (_, which), gram in zip(groups, grams, strict=True):
+            _fill(gram[:, start:end], turned.swapaxes(1, 2), 1.0 / family.diagonals, lost, which)
         xy[start:end, seen] = (y * roots) @ flat
         prior = np.log(family.weight)
         constant = prior - 0.5 * (log_det + determinant)
@@ -261,33 +265,30 @@ def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Arra
     whitened: (S, b, n, width + 1 + M + q), under S shapes, in the order of `stacked`.
     """
     few = np.delete(whitened, np.s_[width + 1 : width + 1 + candidates], axis=3)
-    y, taken, _ = _freed(few, width)
-    design = whitened[..., width + 1 : width + 1 + candidates].reshape(*y.shape, candidates)
-    return y, design - np.swapaxes(taken, -1, -2) @ (taken @ design)
+    y, own, found, _ = _freed(few, width)
+    design = whitened[..., width + 1 : width + 1 + candidates]
+    design = (design - own @ (np.swapaxes(own, -1, -2) @ design)).reshape(*y.shape, candidates)
+    return y, design - np.swapaxes(found, -1, -2) @ (found @ design)
 
 
-def _freed(whitened: Array, width: int) -> tuple[Array, Array, Array]:
+def _freed(whitened: Array, width: int) -> tuple[Array, Array, Array, Array]:
     """Return the data (S, b n) free of the baseline and what was found, and the directions taken from them.
 
     whitened: (S, b, n, width + 1 + q) baseline, data and what was found, under S shapes. The second is
-    (S, b p + q, b n), orthonormal or nothing: each block's baseline by itself, then what was found, over all
-    blocks. The third is log|B' C^-1 B| (S,).
+    (S, b, n, p), each block's baseline by itself, orthonormal; the third (S, q, b n), what was found, over
+    all blocks, orthonormal or nothing. The fourth is log|B' C^-1 B| (S,).
     """
     shapes, blocks, n = whitened.shape[:3]
-    q, r = np.linalg.qr(whitened[..., :width])
+    own, r = np.linalg.qr(whitened[..., :width])
     determinant = 2.0 * np.log(np.abs(np.einsum("...ii->...i", r)) + 1e-300).sum(axis=(-2, -1))
     rest = whitened[..., width:]
     before = np.sqrt((rest**2).sum(axis=(1, 2)))
-    rest = (rest - q @ (np.swapaxes(q, -1, -2) @ rest)).reshape(shapes, blocks * n, -1)
-    own = np.zeros((shapes, blocks, q.shape[3], blocks, n))
-    for block in range(blocks):
-        own[:, block, :, block] = np.swapaxes(q[:, block], -1, -2)
+    rest = (rest - own @ (np.swapaxes(own, -1, -2) @ rest)).reshape(shapes, blocks * n, -1)
     found, sizes, _ = np.linalg.svd(rest[:, :, 1:] / (before[:, None, 1:] + 1e-300), full_matrices=False)
     found = np.swapaxes(found * (sizes > ALONG)[:, None, :], -1, -2)
     y = rest[:, :, 0]
     y = y - np.einsum("sqn,sq->sn", found, np.einsum("sqn,sn->sq", found, y))
-    taken = np.concatenate([own.reshape(shapes, -1, blocks * n), found], axis=1)
-    return y, taken, determinant
+    return y, own, found, determinant
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,8 +33,8 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, di
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
-TOGETHER = 32
-"""Hypotheses that are reduced together: all of a day's would take 300 MB."""
+TOGETHER = 128
+"""Hypotheses that are reduced together, the baseline taken off once: all of a day's would take 300 MB."""
 
 ACROSS = 13.8
 """Chi-squared of two components that chance exceeds once in 1000."""
