@@ -6,17 +6,23 @@ course of it would have left them steady. One that changes may follow it, and th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, linear_quantities
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, linear_quantities, proposed
 from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
+from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.streams.course import Course
+
+LESS = 1.0 / 3.0
+"""Part of the recording's effect below which a simulation lacks it: half of it would be too small."""
 
 
 def course_over(recorded: Bins, span: tuple[float, float]) -> Course:
@@ -43,25 +49,81 @@ def _warmed(bins: Bins, course: Course) -> Bins:
 
 
 def excluded(
-    simulated: Examination, recorded: Bins, wanted: Sequence[Wanted], missing: Sequence[NotLogged]
+    exams: tuple[Examination, Examination], wanted: Sequence[Wanted], missing: Sequence[NotLogged]
 ) -> list[NotLogged]:
     """Return which effects of temperature a simulation does not have, though it logged no temperature.
 
     missing: the effects that the recording was found to have and whose driver the simulation did not log. Of
-    these it has none where it shows none with the recording's temperature, and nothing else that may be it.
+    these it has none where it shows none, could have a small part of it at most, whatever its temperature
+    was, and shows nothing else that may be it.
     """
     of_temperature = [m for m in missing if "temperature" in m.effect.follows]
+    recorded, simulated = exams
     if not of_temperature or not len(simulated.bins):
         return []
-    shown = linear_quantities(warmed(simulated, recorded), wanted, {})
+    warm = warmed(simulated, recorded.bins)
+    had, shown = (linear_quantities(exam, wanted, {}) for exam in (recorded, warm))
+    most = _largest(warm, wanted)
     return [
         m
         for m in of_temperature
-        if (own := shown.get((m.effect.name, m.effect.sensor))) is not None
-        and own.informed.any()
-        and not own.shows()
+        if (key := (m.effect.name, m.effect.sensor)) in had
+        and key in shown
+        and not shown[key].shows()
+        and np.linalg.norm(most[key] / had[key].size) < LESS * np.linalg.norm(had[key].value / had[key].size)
         and not _may_have(simulated, m)
     ]
+
+
+def of_any_course(
+    simulated: Examination, wanted: Sequence[Wanted], side: Mapping[Key, Quantity]
+) -> dict[Key, Quantity]:
+    """Return what a simulation shows, effects of temperature with an error that holds for any course of it.
+
+    Any size up to the largest is as likely.
+    """
+    most = _largest(simulated, wanted)
+    return {
+        key: replace(one, covariance=one.covariance + np.diag(most[key] ** 2 / 3.0)) if key in most else one
+        for key, one in side.items()
+    }
+
+
+def _largest(simulated: Examination, wanted: Sequence[Wanted]) -> dict[Key, Array]:
+    """Return the largest size (k,) of each number of an effect of temperature, whatever the temperature was.
+
+    An effect of some size leaves residuals as large as it is. What there is of them beyond white noise is the
+    largest size that it may have.
+    """
+    out: dict[Key, Array] = {}
+    for scene in [*simulated.scenes, *([simulated.turns] if simulated.turns else [])]:
+        for one in wanted:
+            effect = one.hypothesis.effect
+            hypothesis = proposed(scene, one) if one.kind == kind_of(scene) else None
+            if hypothesis is not None and "temperature" in effect.follows:
+                sizes = [_most(scene, i, hypothesis) for i in _lengthwise(scene)]
+                out[effect.name, effect.sensor] = np.max(sizes, axis=0)
+    return out
+
+
+def _lengthwise(scene: Scene) -> list[int]:
+    """Return which views of a scene see what changes from rest to rest."""
+    return [i for i, view in enumerate(scene.views) if view.name not in BLOCKS_ACROSS]
+
+
+def _most(scene: Scene, index: int, hypothesis: Hypothesis) -> Array:
+    """Return the size (k,) of each parameter that would leave all residuals of a view; 0 where it sees none.
+
+    What calibration absorbs is projected out of both.
+    """
+    view, columns = scene.views[index], hypothesis.columns[index]
+    base = np.hstack([view.nuisance(), *([] if scene.shared is None else [scene.shared.columns[index][0]])])
+    whole = np.column_stack([view.y[0], columns[0]])
+    left = whole - base @ np.linalg.lstsq(base, whole, rcond=None)[0]
+    power = (left**2).mean(axis=0)
+    slow = max(float(power[0] - np.mean(view.variance)), 0.0)
+    seen = power[1:] > 0.0
+    return np.asarray(np.sqrt(np.where(seen, slow / np.where(seen, power[1:], 1.0), 0.0)))
 
 
 def _may_have(simulated: Examination, missing: NotLogged) -> bool:

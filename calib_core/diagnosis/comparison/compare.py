@@ -9,7 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison import noise, not_logged
-from stillcal.calib_core.diagnosis.comparison.assumed_temperature import excluded, warmed
+from stillcal.calib_core.diagnosis.comparison.assumed_temperature import excluded, of_any_course, warmed
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.linear import (
     SHIFTED,
@@ -62,10 +62,13 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     """Compare a recording with a simulation. names: of both, for the reasons given."""
     exams, had = (recorded, simulated), (wanted_of(recorded), wanted_of(simulated))
     wanted, unlogged = _union(*had), not_logged.not_logged(exams, had, names)
-    steady = excluded(simulated, recorded.bins, wanted, unlogged[1])
+    steady = excluded(exams, wanted, unlogged[1])
     unlogged = unlogged[0], [m for m in unlogged[1] if m not in steady]
     measured = (recorded, warmed(simulated, recorded.bins) if steady else simulated)
-    sides = _sides(measured, (wanted, _without(wanted, unlogged[1])), unlogged)
+    asked = _without(wanted, unlogged[1])
+    sides = _sides(measured, (wanted, asked), unlogged)
+    if steady:
+        sides[1] = of_any_course(measured[1], asked, sides[1])
     pairs, missing = _paired(exams, sides, wanted, names)
     looked = [_looked_for(exam) for exam in exams]
     reasons = [one.reasons for one in looked]
