@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrep
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, vector
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
+from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
 from stillcal.replay.diagnosis.words.correction_code import to_paste
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement
@@ -94,7 +95,7 @@ def answer_of(
     names: tuple[str, str],
     fit: Fit,
     stated: Mapping[tuple[str, str, str], Finding],
-    temperature: Array | None = None,
+    temperature: Array | None,
 ) -> dict[str, Any]:
     """Return a comparison as plain values.
 
@@ -183,6 +184,8 @@ def _finding(
         out["reference"] = at | out.get("reference", {})
     if own is not None and one.relation in ("lacking", "superfluous"):
         out["evidence"] |= _held_out(own)
+        told = {k: _parameter(p) for k, p in own.parameters.items() if k in GRID_PARAMETERS}
+        out["parameters" if one.relation == "lacking" else "simulated"] |= told
     out["statement"] = " ".join(filter(None, (statement(out, names), one.note)))
     return out | to_paste(out)
 

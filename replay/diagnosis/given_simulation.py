@@ -58,7 +58,7 @@ def judge_examined(
     before = compare(recorded, simulated, names)
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
-    answer = answer_of(before, names, Fit.of(before, before), stated)
+    answer = answer_of(before, names, Fit.of(before, before), stated, recorded.bins.temperature)
     if not before.discrepancies:
         return Judged(recording, recorded, simulated, before, None, None, answer)
     if any(d.note for d in before.discrepancies):
@@ -69,7 +69,7 @@ def judge_examined(
         changed = {d.sensor for d in before.discrepancies if d.effect.endswith(ON_VALUES)}
         measured = with_own_values(measured, simulated, changed)
     after = compare(recorded, measured, names)
-    answer = answer_of(before, names, Fit.of(before, after, made.left_out), stated)
+    answer = answer_of(before, names, Fit.of(before, after, made.left_out), stated, recorded.bins.temperature)
     return Judged(recording, recorded, simulated, before, after, made.recording, answer)
 
 

@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
-from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
     BIAS_SIZE,
     MISALIGNMENT_SIZE,
@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     View,
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
+from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
 
@@ -67,10 +68,14 @@ CONSTANTS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wanted:
-    """An effect to be measured, as one of the recordings has it. kind: "accel", "gyro" or "turn"."""
+    """An effect to be measured, as one of the recordings has it. kind: "accel", "gyro" or "turn".
+
+    grid: its time constant and the like, as they were estimated there.
+    """
 
     kind: str
     hypothesis: Hypothesis
+    grid: Mapping[str, float]
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -82,10 +87,19 @@ class Wanted:
 def wanted_of(exam: Examination) -> list[Wanted]:
     """Return the linear effects that a recording was found to have and that another can be asked for."""
     return [
-        Wanted(kind_of(s.scene), s.hypothesis)
+        Wanted(kind_of(s.scene), s.hypothesis, s.hypothesis.grid | _estimated(s.finding))
         for s in exam.statements
         if s.hypothesis is not None and s.scene is not None and transferable(s.hypothesis)
     ]
+
+
+def _estimated(finding: Finding) -> dict[str, float]:
+    """Return the estimates of what is not linear in an effect."""
+    return {
+        name: float(np.max(finding.parameters[name].value))
+        for name in GRID_PARAMETERS
+        if name in finding.parameters
+    }
 
 
 def transferable(hypothesis: Hypothesis) -> bool:
@@ -146,17 +160,21 @@ def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:
 
 
 def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
-    """Return the effect as this recording would have it, at the nearest grid point; None if it cannot."""
+    """Return the effect as this recording would have it, at the nearest fine point; None if it cannot."""
+
+    def nearest(points: Sequence[Hypothesis]) -> Hypothesis:
+        return min(points, key=lambda h: _apart(h.grid, wanted.grid))
+
     for effect in effects_in(scene):
         same = (wanted.kind, effect.name, effect.follows) == wanted.key
         if not same or len(effect.parameters) != len(wanted.hypothesis.effect.parameters):
             continue
         if found := scene.hypotheses(effect):
-            return min(found, key=lambda h: _apart(h.grid, wanted.hypothesis.grid))
+            return nearest(scene.finer(nearest(found)))
     return None
 
 
-def _apart(one: dict[str, float], other: dict[str, float]) -> float:
+def _apart(one: Mapping[str, float], other: Mapping[str, float]) -> float:
     """Return how far two grid points are from each other, positive numbers by their logarithms."""
     total = 0.0
     for name in one.keys() & other.keys():

@@ -45,7 +45,7 @@ def test_scales_that_share_gravitys_error_are_told_against_their_mean() -> None:
 
     apart = subtract(scale(-0.003), scale(-0.008))
     one = Discrepancy("accel_scale", "accel", ["x"], where, apart.relation(), 1.0, 300.0, apart)
-    (said,) = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1e-9, 1.0), {})["findings"]
+    (said,) = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1e-9, 1.0), {}, None)["findings"]
     against = said["difference"]["scale_against_mean"]
     np.testing.assert_allclose(against["value"], [0.01 / 3.0, -0.005 / 3.0, -0.005 / 3.0])
     assert np.ptp(against["ci95"], axis=1).max() < 6e-4

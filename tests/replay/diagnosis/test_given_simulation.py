@@ -117,10 +117,25 @@ def test_a_bias_that_differs_for_another_reason_is_stated_at_the_recordings_mean
     said = answer(real, simulated(0.0))
     found = {f["effect"]: f for f in said["findings"]}
     assert set(found) == {"accel_bias", "accel_bias_temperature"}
-    temperature = real.accelerometer.temperature
-    assert temperature is not None
-    at = found["accel_bias"]["reference"]["temperature_c"]
-    assert np.nanmin(temperature) < at < np.nanmax(temperature)
+    bins = examination(real).bins
+    assert bins.temperature is not None
+    for one in found.values():
+        assert one["reference"]["temperature_c"] == pytest.approx(bins.temperature.mean())
+    mean = found["accel_bias_temperature"]["reference"]["mean_temperature_c"]
+    assert mean == pytest.approx(bins.temperature.mean())
+
+
+@pytest.mark.slow
+def test_a_time_constant_that_the_simulation_has_not_is_the_recordings_with_its_interval() -> None:
+    """The amplitude was that at a coarse grid point, and nothing told the time constant."""
+    settling = {"name": "accel_warmup", "amplitude": [0.05, -0.03, 0.0], "tau_s": 170.0}
+    real = named(recorded(phone_with(settling), 3), "real.csv")
+    finding = only(answer(real, simulated(0.0)))
+    assert (finding["effect"], finding["relation"]) == ("accel_warmup", "lacking")
+    assert finding["reference"]["tau_s"] == pytest.approx(finding["parameters"]["tau_s"]["value"], rel=0.1)
+    low, high = finding["parameters"]["tau_s"]["ci95"]
+    assert low < 170.0 < high and "time constant" in finding["statement"]
+    assert holds(finding["difference"]["amplitude"], np.array(settling["amplitude"]))
 
 
 @pytest.mark.slow

@@ -42,7 +42,7 @@ def test_a_straight_line_has_no_bend() -> None:
 def test_another_recording_is_asked_for_the_same_degree() -> None:
     scene = gyro_of(None)
     for degree in (1, 2, 3):
-        wanted = Wanted("gyro", scene.hypotheses(BiasTemperature("gyro", degree))[0])
+        wanted = Wanted("gyro", scene.hypotheses(BiasTemperature("gyro", degree))[0], {})
         found = proposed(scene, wanted)
         assert found is not None
         assert found.columns[0].shape[2] == 3 * degree
