@@ -88,8 +88,10 @@ _NEITHER = {
         "pos",
         "integral",
     ),
-    *("earth", "world", "global"),  # turned into axes that do not turn with the sensor
 }
+_NO_AXES = _NEITHER | {"earth", "world", "global"}
+"""Words of axes that are no sensor's. The last three mean axes fixed to the ground; a time may have them."""
+
 FILLERS = {
     "velocity",
     "vel",
@@ -404,7 +406,7 @@ def unread_rates(names: Sequence[str]) -> list[str]:
     return [
         name
         for name, words in found
-        if plain & {*words, *map("".join, itertools.pairwise(words))} and not _NEITHER & set(words)
+        if plain & {*words, *map("".join, itertools.pairwise(words))} and not _NO_AXES & set(words)
     ]
 
 
@@ -446,7 +448,7 @@ def _axis_of(name: str) -> _Word | None:
     unit = unit or next(iter(_OTHER_UNITS & {bracket, *words}), None)
     acceleration = bool(kinds & _ACCELERATION) or by_unit in _FORCE
     rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
-    if kinds & _NEITHER or (acceleration and kinds & _ANGULAR) or not (acceleration or rate):
+    if kinds & _NO_AXES or (acceleration and kinds & _ANGULAR) or not (acceleration or rate):
         return None
     sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE
     unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)

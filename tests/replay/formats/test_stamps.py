@@ -42,6 +42,8 @@ def texts(values: np.ndarray, form: str = ".9f") -> list[str]:
         ("Temps (s)", texts(SECONDS), 0.01),
         ("GpsTow", texts(300_000 + SECONDS), 0.01),
         ("Abszisse [s]", texts(SECONDS), 0.01),
+        ("world time [s]", texts(SECONDS), 0.01),
+        ("global_time", texts(SECONDS), 0.01),
     ],
 )
 def test_the_unit_of_times(tmp_path: Path, name: str, stamps: list[str], step: float) -> None:
