@@ -33,8 +33,11 @@ _IN_A_LIST = re.compile(r"[\s,]+")
 _GROUP_MARKS = ((",", r"\."), (r"\.", ","), ("['\u2019 ]|\xc2?\xa0|\xe2\x80\xaf|\u202f", "[.,]"))
 """Marks between thousands, with the decimal marks beside them; blanks that do not break, also as bytes."""
 
+_LIKE_A_NUMBER = re.compile(r"(?!\s*\d+[-/.]\d\d?[-/.]\d)[^:]*\d\s*$")
+"""A cell that may be a number with marks in it, and is neither a date nor a time of day."""
+
 _FEWEST = 3
-"""Labelled numbers of a line: three axes."""
+"""Numbers of a line: three axes."""
 
 Rewrite = Callable[[str], str]
 
@@ -99,22 +102,35 @@ def _without_groups(lines: Sequence[str]) -> Rewrite | None:
     """Return what takes out the marks between thousands; None where no cell has any.
 
     A mark stands between thousands where all numbers that have it have it there, and it cannot be the decimal
-    mark: another number has that one, or a number has it twice.
+    mark: a number of the same column has that one, or a number has it twice. A comma that also stands between
+    cells is no decimal mark, so that there any column shows which one is.
     """
     filled = list(filter(str.strip, lines))
     delimiter = delimiter_of(filled[-1]) if filled else " "
     if delimiter == " ":
         return None
-    every = (cell.strip() for line in lines for cell in quoted_cells(line, delimiter))
-    cells = [cell for cell in every if cell[-1:].isdigit() and ":" not in cell]  # times of day have one
+    columns = _columns_of_numbers([quoted_cells(line, delimiter) for line in filled])
+    cells = [cell for column in columns for cell in column]
     for mark, decimal in _GROUP_MARKS:
         grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
         with_mark = [cell for cell in cells if re.search(mark, cell)]
         twice = any(len(re.findall(mark, cell)) > 1 for cell in with_mark)
-        shown = twice or len(mark) > 2 or any(re.search(rf"\d{decimal}\d", cell) for cell in cells)
+        own = [c for column in columns if any(re.search(mark, c) for c in column) for c in column]
+        beside = cells if mark == delimiter else own
+        shown = twice or len(mark) > 2 or any(re.search(rf"\d{decimal}\d", cell) for cell in beside)
         if with_mark and shown and all(map(grouped.fullmatch, with_mark)):
             return partial(_without_marks, delimiter, re.compile(mark), grouped)
     return None
+
+
+def _columns_of_numbers(rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """Return the numbers of each column in rows that have three or more; dates and times of day are none."""
+    numbers = [{i: c.strip() for i, c in enumerate(row) if _LIKE_A_NUMBER.match(c)} for row in rows]
+    columns: dict[int, list[str]] = {}
+    for row in numbers:
+        for place, cell in row.items() if len(row) >= _FEWEST else ():
+            columns.setdefault(place, []).append(cell)
+    return list(columns.values())
 
 
 def _without_marks(delimiter: str, mark: re.Pattern[str], grouped: re.Pattern[str], line: str) -> str:

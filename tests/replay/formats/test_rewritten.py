@@ -131,12 +131,33 @@ def test_a_carriage_return_within_a_line_is_no_end_of_it(tmp_path: Path) -> None
     np.testing.assert_array_equal(read_all(path).accelerometer.xyz, FORCE)
 
 
-def test_commas_that_may_be_decimal_marks_stay(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("header", "time"),
+    [
+        ("time_ms", "{t}"),
+        ("time_s", "{s:.2f}"),
+        ("date;time", "01.03.2026;10:00:0{s:.3f}"),
+        ("Firmware;1.2\ntime_ms", "{t}"),
+        ("fs;50.0;;\ntime_ms", "{t}"),
+    ],
+)
+def test_commas_that_may_be_decimal_marks_stay(tmp_path: Path, header: str, time: str) -> None:
     force = FORCE + np.array([2, 2, 0])  # so that no number begins with 0
-    rows = [[f"{t}", *(f"{v:.3f}".replace(".", ",") for v in a)] for t, a in zip(MS, force, strict=True)]
+    rows = [
+        [time.format(t=t, s=t / 1000), *(f"{v:.3f}".replace(".", ",") for v in a)]
+        for t, a in zip(MS, force, strict=True)
+    ]
     path = tmp_path / "r.csv"
-    path.write_text("time_ms;ax;ay;az\n" + "\n".join(map(";".join, rows)) + "\n")
+    path.write_text(f"{header};ax;ay;az\n" + "\n".join(map(";".join, rows)) + "\n")
     np.testing.assert_allclose(read_all(path).accelerometer.xyz, force, atol=6e-4)
+
+
+def test_a_quoted_comma_beside_decimal_points_stands_between_thousands(tmp_path: Path) -> None:
+    milli = np.round(FORCE / 9.80665e-3)
+    rows = [f'{t / 1000:.2f},{x:.0f},{y:.0f},"{z:,.0f}"' for t, (x, y, z) in zip(MS, milli, strict=True)]
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(["time_s,ax_mg,ay_mg,az_mg", *rows]) + "\n")
+    np.testing.assert_allclose(read_all(path).accelerometer.xyz, FORCE, atol=0.01)
 
 
 def test_a_first_row_of_whole_numbers_says_nothing_of_decimal_commas(tmp_path: Path) -> None:
