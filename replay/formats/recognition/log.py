@@ -63,6 +63,7 @@ class Log:
 
     path: what messages call it. kind: the format, as it is called in messages. sensors: best first.
     beside: the path beside which events and claims lie, None where they cannot. claims: of the log itself.
+    by_gravity: whether nothing but the size of gravity tells that its accelerometer is one.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Log:
     notes: list[str] = field(default_factory=list)
     beside: Path | None = None
     claims: Claims = field(default_factory=Claims)
+    by_gravity: bool = False
 
     def choose(self, name: str | None) -> tuple[LoggedSensor, list[str]]:
         """Return the sensor of that name, or the first, and what is to be said of the choice.

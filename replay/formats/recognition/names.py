@@ -108,6 +108,15 @@ FILLERS = {
 """Words that say nothing by which sensors of one log differ."""
 
 _RAW = {"raw", "uncal", "uncalibrated"}
+_OTHER_VECTORS = {
+    *("quaternion", "quaternions", "attitude", "ahrs", "euler", "compass"),
+    *("direction", "directions", "normal", "normals", "velocity", "velocities"),
+}
+"""Words for what holds x, y, z of no sensor, which may be of gravity's size too: 1 or 9.8."""
+
+_OF_ROTATION = {"w", "qw", "q0", "heading"}
+"""Names beside x, y, z that are then a quaternion's or a pose's; so are the angles of an attitude."""
+
 _ATTITUDE = {"roll": 0, "pitch": 1, "yaw": 2}
 _TURNS = {"rate", "rates", "speed", "velocity", "vel", "gyro", "gyr", "gyroscope", "angular", "omega"}
 """Words that make roll, pitch and yaw rates about x, y and z; without one they are angles."""
@@ -376,14 +385,16 @@ def qualified(names: Sequence[str], container: str) -> list[str]:
 def named_after(names: Sequence[str], sensor: str, container: str) -> list[str] | None:
     """Return names of which x, y, z are called after a sensor, as where only its owner knows which it is.
 
-    None where others name axes or there are several x, or what holds them (a file's name) is called after
-    something else.
+    None where others name axes or a rotation or there are several x, or what holds them (a file's name) is
+    called after something else.
     """
     bare = [name for name in names if name.strip().lower() in {"x", "y", "z"}]
     longer = [f"{sensor}.{name}" if name in bare else name for name in names]
-    else_called = not find_axes(qualified(("x", "y", "z"), f"{container}.{sensor}"))
-    fits = len(bare) == 3 and not find_axes(names) and bool(find_axes(longer)) and not else_called
-    return longer if fits else None
+    else_called = bool(_OTHER_VECTORS & set(split_words(container)))
+    else_called |= not find_axes(qualified(("x", "y", "z"), f"{container}.{sensor}"))
+    rotation = any((_OF_ROTATION | _ATTITUDE.keys()) & set(_words(name)[1]) for name in names)
+    fits = len(bare) == 3 and not find_axes(names) and bool(find_axes(longer))
+    return longer if fits and not else_called and not rotation else None
 
 
 def rates_alone(names: Sequence[str]) -> bool:

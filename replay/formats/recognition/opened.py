@@ -161,7 +161,10 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
 def _opened(
     members: dict[str, Source], column_map: ColumnMap | None
 ) -> tuple[dict[str, Log], dict[str, Source], list[str]]:
-    """Return the recordings among files, those of a gyroscope alone, and what is said of empty ones."""
+    """Return the recordings among files, those of a gyroscope alone, and what is said of empty ones.
+
+    Those of an accelerometer that only gravity tells are left out where others name theirs.
+    """
     found: dict[str, Log] = {}
     alone: dict[str, Source] = {}
     empty: list[str] = []
@@ -174,7 +177,8 @@ def _opened(
             empty.append(f"{name} holds a header and no samples")
         except TraceError:
             continue
-    return found, alone, empty
+    named = {name: log for name, log in found.items() if not log.by_gravity}
+    return named or found, alone, empty
 
 
 def _first_of(names: list[str]) -> str:
@@ -280,9 +284,10 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
     Raises TraceError where it cannot be read, or holds a gyroscope alone.
     """
     rates, said = _rates_of(source, gyro)
-    sensors = settled(own.table, own.column_map, own.rate_hz, rates) or _by_gravity(source, own, rates)
+    named = settled(own.table, own.column_map, own.rate_hz, rates)
+    sensors = named or _by_gravity(source, own, rates)
     if sensors:
-        return Log(source.path, kind, sensors, said, beside=source.local)
+        return Log(source.path, kind, sensors, said, beside=source.local, by_gravity=not named)
     free = without_gravity(own.table.names or [])
     if free:
         what = f"holds no acceleration with gravity, only {', '.join(free[:3])}"

@@ -109,7 +109,12 @@ def test_axes_that_nothing_names_are_those_of_one_sensor(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("name", "factor"), [("walk.csv", 1.1), ("Gravity.csv", 1.0), ("mag_field.csv", 1.0)]
+    ("name", "factor"),
+    [
+        ("walk.csv", 1.1),
+        *((name, 1.0) for name in ("Gravity.csv", "mag_field.csv", "velocity.csv")),
+        *((name, 1 / 9.81) for name in ("Quaternions.csv", "surface_normal.csv", "ahrs.csv")),
+    ],
 )
 def test_axes_that_may_be_something_else_are_not_taken_for_an_accelerometers(
     tmp_path: Path, name: str, factor: float
@@ -117,6 +122,25 @@ def test_axes_that_may_be_something_else_are_not_taken_for_an_accelerometers(
     (tmp_path / name).write_text(text("Timestamp,X,Y,Z", DATA[:, :4] * [1, factor, factor, factor]))
     with pytest.raises(TraceError, match=r":1: no accelerometer found by its names; .*: Timestamp, X, Y, Z"):
         read_all(tmp_path / name)
+
+
+@pytest.mark.parametrize("others", ["w", "qw", "roll,pitch,yaw"])
+def test_axes_beside_a_rotation_are_not_taken_for_an_accelerometers(tmp_path: Path, others: str) -> None:
+    table = np.column_stack([DATA[:, :4], RATE[:, : others.count(",") + 1]])
+    (tmp_path / "log.csv").write_text(text(f"time,x,y,z,{others}", table))
+    with pytest.raises(TraceError, match=r":1: no accelerometer found by its names"):
+        read_all(tmp_path / "log.csv")
+
+
+@pytest.mark.parametrize("other", ["quaternion.csv", "log1.csv"])
+def test_a_folders_table_of_bare_axes_is_passed_over_beside_a_named_accelerometer(
+    tmp_path: Path, other: str
+) -> None:
+    unit = text("time,x,y,z", DATA[:, :4] / [1, 9.81, 9.81, 9.81])
+    files = {"acc.csv": force("t,x,y,z"), "gyr.csv": rates("t,x,y,z"), other: unit}
+    recording = read_all(as_folder(tmp_path, files))
+    assert_pair(recording)
+    assert any(f"acc.csv with gyr.csv is read; passed over: {other}" in note for note in recording.notes)
 
 
 def several(words: list[str], sensor: str, columns: np.ndarray) -> str:
