@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 
 from stillcal.replay.formats.errors import TraceError
@@ -84,10 +85,16 @@ def kind_of(source: Source) -> str:
             raise ForeignError(source.path, f"is {name}, not a recording that can be read", remedy)
     if _JSON.match(head):
         return JSON
-    if _ECHO.match(head):
+    if _ECHO.match(_in_utf8(head)):
         return ECHO
     if b"\0" in head and not head.startswith(UTF16):
         what = "is not a text file, and no binary format that is known"
         remedy = "give one of the formats in docs/formats.md, or text in UTF-8"
         raise ForeignError(source.path, what, remedy)
     return TEXT
+
+
+def _in_utf8(head: bytes) -> bytes:
+    """Return how a text begins, in UTF-8 and without the mark of its encoding."""
+    wide = head.startswith(UTF16)
+    return head.decode("utf-16", "ignore").encode() if wide else head.removeprefix(codecs.BOM_UTF8)

@@ -51,6 +51,7 @@ from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.echoed import echoed_records
 from stillcal.replay.formats.tables.json_table import JsonTable
 from stillcal.replay.formats.tables.layout import missing
+from stillcal.replay.formats.tables.plain import plain_text
 from stillcal.replay.formats.tables.table import Table
 from stillcal.replay.formats.tables.text import NoRowsError, TextTable, has_rows
 
@@ -240,6 +241,7 @@ def _echo_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
 
 def _echo_tables(source: Source) -> dict[str, Callable[[], JsonTable]]:
     """Return what opens the table of messages that ROS printed, as json_tables does."""
+    source = plain_text(source)
     return {"": partial(JsonTable, source.path, partial(echoed_records, source), source.size)}
 
 

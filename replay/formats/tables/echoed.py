@@ -1,11 +1,12 @@
 """Messages as `rostopic echo` and `ros2 topic echo` print them, YAML with a line `---` between, as records.
 
 Only what they print is read: a key and its number or text in a line, or a key with what stands further to the
-right below it. Lists, which hold covariances, are passed over.
+right below it. Lists, which hold covariances, are passed over, also where they go on in further lines.
 """
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Iterator
 from itertools import islice
 from typing import Any
@@ -18,6 +19,8 @@ from stillcal.replay.formats.tables.json_records import Records
 
 _BLOCK_MESSAGES = 1024
 _LISTS = ("- ", "[")
+_LIST_GOES_ON = (",", "]")
+"""How a further line of a list ends."""
 
 
 def echoed_records(source: Source) -> Iterator[Records]:
@@ -35,7 +38,7 @@ def _messages(source: Source, lines: Iterator[bytes]) -> Iterator[tuple[int, dic
     first, open_fields = 1, [(-1, message)]
     try:
         for number, line in enumerate(lines, 1):
-            text = line.strip()
+            text = line.removeprefix(codecs.BOM_UTF8).strip()
             if text == b"---":
                 if message:
                     yield first, message
@@ -57,9 +60,9 @@ def _add(open_fields: list[tuple[int, dict[str, Any]]], indent: int, text: str) 
 
     open_fields: each with its indent. Raises ValueError where the line is no field.
     """
-    if text.startswith(_LISTS):
-        return
     key, colon, value = text.partition(":")
+    if text.startswith(_LISTS) or (not colon and text.endswith(_LIST_GOES_ON)):
+        return
     if not colon:
         raise ValueError
     while open_fields[-1][0] >= indent:
@@ -75,6 +78,6 @@ def _add(open_fields: list[tuple[int, dict[str, Any]]], indent: int, text: str) 
 
 def _scalar(value: str) -> float | str:
     try:
-        return float(value)
+        return float(value.lower().replace(".nan", "nan").replace(".inf", "inf"))  # YAML: .nan, -.inf
     except ValueError:
         return value.strip("'\"")

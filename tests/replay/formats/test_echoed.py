@@ -62,6 +62,22 @@ def test_printed_messages_are_read(tmp_path: Path, message: Callable[[int], str]
     assert_read(read_all(packed))
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_messages_with_the_mark_of_an_encoding_are_read(tmp_path: Path, encoding: str) -> None:
+    text = "".join(f"{ros2(i)}---\n" for i in range(len(T)))
+    path = tmp_path / "imu.txt"
+    path.write_bytes(text.replace("\n", "\r\n").encode(encoding))
+    assert_read(read_all(path))
+
+
+def test_values_that_are_not_finite_and_lists_of_several_lines(tmp_path: Path) -> None:
+    none = "orientation:\n  x: .nan\n  y: -.inf\norientation_covariance: [-1.0, 0.0,\n  0.0,\n  0.0]\n"
+    text = "".join(f"{ros2(i).replace('angular', none + 'angular', 1)}---\n" for i in range(len(T)))
+    assert_read(read(tmp_path, text))
+    with pytest.raises(TraceError, match=r"imu.txt:1: field 'angular_velocity.z' holds nan, .* not a finite"):
+        read(tmp_path, text.replace(f"  z: {RATE[0, 2].item()!r}\n", "  z: .NaN\n", 1))
+
+
 def test_a_message_that_breaks_off_is_named_by_its_line(tmp_path: Path) -> None:
     text = "".join(f"{ros2(i)}---\n" for i in range(len(T)))
     last = text[:-4].rindex("---\n")
