@@ -155,4 +155,4 @@ def refuse_devices_in_turn(table: TableWithTexts, naming: int | None = None) -> 
 
 def _is_value(text: str) -> bool:
     cell = text.strip().encode()
-    return is_number(cell) or is_date(cell) or cell.lower() in (b"true", b"false")
+    return is_number(cell.replace(b",", b".")) or is_date(cell) or cell.lower() in (b"true", b"false")

@@ -160,6 +160,14 @@ def test_a_quoted_comma_beside_decimal_points_stands_between_thousands(tmp_path:
     np.testing.assert_allclose(read_all(path).accelerometer.xyz, FORCE, atol=0.01)
 
 
+def test_decimal_commas_of_few_different_values_are_no_names_of_devices(tmp_path: Path) -> None:
+    force = np.round(FORCE / 9.80665, 2)
+    rows = [[f"{t}", *(f"{v:.2f}".replace(".", ",") for v in a)] for t, a in zip(MS, force, strict=True)]
+    path = tmp_path / "r.csv"
+    path.write_text("time_ms;ax [g];ay [g];az [g]\n" + "\n".join(map(";".join, rows)) + "\n")
+    np.testing.assert_allclose(read_all(path).accelerometer.xyz, force * 9.80665)
+
+
 def test_a_first_row_of_whole_numbers_says_nothing_of_decimal_commas(tmp_path: Path) -> None:
     rows = [
         ";".join(f"{v:.4f}".replace(".", ",") for v in (t / 1000, *a)) for t, a in zip(MS, FORCE, strict=True)
