@@ -50,6 +50,9 @@ Recorded = Timed | Hello
 IMPOSSIBLE_S = 10.0
 """Sensor time beyond what has passed that is told in the log, s: two clocks may differ a little."""
 
+CONTINUES_S = 60.0
+"""Host's time without a jump of the phone's stamps, after which the next one is told."""
+
 SILENCE_S = 10.0
 """A phone that should be sensing is asked to identify itself after this much silence, s."""
 
@@ -89,6 +92,7 @@ class PhoneSession:
         self._in_step = False
         self._heard_at = self._fed_at = self._clock()
         self._silent = False
+        self._jumped_at = -math.inf
         self.hello: Hello | None = None
         self.refused = 0
 
@@ -209,7 +213,15 @@ class PhoneSession:
             self._recorders.notify(item)
 
     def _clock_jumped(self, what: str, reason: str) -> None:
-        """Tell log and listeners that the phone's time stamps do not continue."""
+        """Tell log and listeners that the phone's time stamps do not continue.
+
+        It is told once, until they have continued for a while: where two sensors have clocks of their own,
+        every block is a jump.
+        """
+        now, before = self._clock(), self._jumped_at
+        self._jumped_at = now
+        if now - before < CONTINUES_S:
+            return
         self._interrupt_live(reason)
         session = None if self.hello is None else self.hello.session
         say("warning", what, f"{reason}; its new time stamps continue from the old ones", session=session)

@@ -18,7 +18,7 @@ from stillcal.calib_core.streams.events import Charging, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.service.live_stream import Interruption
-from stillcal.daemon.service.phone_session import GATHER_S, LATE_S, SILENCE_S, PhoneSession
+from stillcal.daemon.service.phone_session import CONTINUES_S, GATHER_S, LATE_S, SILENCE_S, PhoneSession
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.sources.base import SerialSettings, Source
 from stillcal.daemon.wire.messages import Command, Hello, Identify
@@ -135,6 +135,27 @@ def test_stamps_that_do_not_continue_are_logged_and_interrupt_the_live_samples(
         heard = [listener.queue.get_nowait() for _ in range(listener.queue.qsize())]
         assert [live.reason for live in heard if isinstance(live, Interruption)] == [reason] * bool(reason)
         assert [record.getMessage().startswith(str(what)) for record in caplog.records] == [True] * bool(what)
+
+    with_session(test)
+
+
+def test_two_sensors_with_clocks_of_their_own_are_told_once(caplog: pytest.LogCaptureFixture) -> None:
+    """Every block is a jump then: each was logged, and cut the live samples."""
+
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        listener, _ = session._live.subscribe(0.0)
+        for k in range(10):
+            clock.now += 1.0
+            for sensor, since in ((Sensor.ACCELEROMETER, 0.0), (Sensor.GYROSCOPE, 1.7e9)):
+                t = [since + k + 1.0, since + k + 1.5]
+                await session._on_record(Samples.checked(sensor, t, np.zeros((2, 3))))
+        session._send_live()
+        heard = [listener.queue.get_nowait() for _ in range(listener.queue.qsize())]
+        assert sum(isinstance(live, Interruption) for live in heard) == 1
+        assert len(caplog.records) == 1
+        clock.now += CONTINUES_S
+        await session._on_record(Samples.checked(Sensor.ACCELEROMETER, [20.0, 21.0], np.zeros((2, 3))))
+        assert len(caplog.records) == 2
 
     with_session(test)
 
