@@ -322,12 +322,19 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     made = f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC: {command_line()}"
     text = page(outcome.judged, made) if asked.report is not None else None
     notes = [*recording.notes, *(simulated.notes if simulated is not None else ())]
-    if simulated is not None and np.array_equal(simulated.accelerometer.xyz, recording.accelerometer.xyz):
+    if simulated is not None and _same(simulated, recording):
         notes.append(
             f"{simulated.name} holds the very samples of {recording.name}: it is compared with itself"
         )
     left = None if asked.residuals is None else residuals_csv(outcome.judged.recorded)
     return _Outputs(outcome.judged.answer, text, outcome.phone_text, notes, left)
+
+
+def _same(one: Recording, other: Recording) -> bool:
+    """Whether two recordings have the same samples of both sensors."""
+    rates = [np.zeros((0, 3)) if r.gyroscope is None else r.gyroscope.xyz for r in (one, other)]
+    alike = np.array_equal(one.accelerometer.xyz, other.accelerometer.xyz)
+    return alike and np.array_equal(rates[0], rates[1])
 
 
 def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:

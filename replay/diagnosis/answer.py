@@ -187,6 +187,7 @@ def _finding(
         told = {k: _parameter(p) for k, p in own.parameters.items() if k in GRID_PARAMETERS}
         out["parameters" if one.relation == "lacking" else "simulated"] |= told
     out["statement"] = " ".join(filter(None, (statement(out, names), one.note)))
+    out |= {"assumption": one.note} if one.note else {}
     return out | to_paste(out)
 
 

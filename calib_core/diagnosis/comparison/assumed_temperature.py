@@ -1,7 +1,8 @@
 """A simulation without a thermometer, judged as if its temperature had changed as the recording's did.
 
-A bias or a scale that is steady over all of a simulation does not follow temperature, whatever that was: no
-course of it would have left them steady. One that changes may follow it, and then nothing is said.
+A bias or a scale that is steady over all of a simulation does not follow temperature, whatever course that
+took. At one temperature any is steady, which is said with the finding. One that changes may follow it, and
+then nothing is said.
 """
 
 from __future__ import annotations

@@ -76,9 +76,10 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     count = len(pairs) + len(direct) + len(alone)
     pairs, hidden = not_logged.without_hidden(weighed([*pairs, *direct], max(count, 1)), unlogged)
     missing += [*hidden, *unseen]
-    alone = [one for one in alone if not _is_slow_noise(one[0], pairs)]
+    wander = [one for one in alone if _is_slow_noise(one[0], pairs)]
+    alone = [one for one in alone if one not in wander]
     neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
-    count -= len(hidden)
+    count -= len(hidden) + len(wander)
     smallest = [row for d in pairs for row in of_difference(d, max(count, 1))]
     smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
     whole = concluded(
@@ -105,8 +106,9 @@ def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, 
     if (found.effect, found.sensor) not in {(m.effect.name, m.effect.sensor) for m in steady}:
         return ""
     return (
-        f"{names[1]} has no temperature: it was judged as if its temperature had changed as that of"
-        f" {names[0]} did, and shows no such change."
+        f"The temperature of {names[1]} is not known: it was judged as if it had changed as that of"
+        f" {names[0]} did, and shows no such change. Simulated at one temperature, it may have this all the"
+        " same."
     )
 
 

@@ -72,10 +72,10 @@ def code_of(finding: Finding) -> str:
 
 
 def _value(finding: Finding, name: str) -> Array:
-    """Return a parameter of the recording, or what it is stated at. Raises KeyError where it has neither."""
-    if name in finding["parameters"]:
-        return np.asarray(finding["parameters"][name]["value"], dtype=np.float64)
-    return np.asarray(finding["reference"][name], dtype=np.float64)
+    """Return what the recording's numbers are stated at, or one of them. Raises KeyError without either."""
+    if name in finding.get("reference", {}):
+        return np.asarray(finding["reference"][name], dtype=np.float64)
+    return np.asarray(finding["parameters"][name]["value"], dtype=np.float64)
 
 
 def _literal(finding: Finding, name: str) -> str:

@@ -58,6 +58,8 @@ def apply_findings(
     for finding in ordered:
         handler = handlers.get(finding["effect"], otherwise)
         try:
+            if "assumption" in finding:
+                raise CannotHold("the simulation logged no temperature and may have this already")
             if handler is not None:
                 handler(finding)
             elif finding["effect"] in AT_MEAN and finding["relation"] != "superfluous":

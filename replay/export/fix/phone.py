@@ -60,6 +60,11 @@ SETTINGS = {
 """Effects that a phone may have as a setting: its table ("" for the sensor's), its name, its number."""
 
 
+def _whole(finding: Finding, name: str) -> bool:
+    """Whether a parameter is the part of the recording in which an effect is there, and may be all of it."""
+    return name == "fraction" and float(np.max(finding["parameters"][name]["ci95"])) >= 1.0
+
+
 class _Phone:
     """One correction of one phone."""
 
@@ -165,7 +170,9 @@ class _Phone:
                 values[name] = difference(finding, name) if value.ndim else float(recorded(finding, name))
         known = {k: v for k, v in finding.get("reference", {}).items() if k in kind.__struct_fields__}
         self._effect(finding, values | known)
-        unused = [name for name in finding["parameters"] if name not in kind.__struct_fields__]
+        unused = [
+            n for n in finding["parameters"] if n not in kind.__struct_fields__ and not _whole(finding, n)
+        ]
         if unused:
             raise CannotHold(f"it is put in, but there is no setting for its {' and '.join(unused)}")
 

@@ -268,9 +268,11 @@ def test_a_steady_simulation_without_a_thermometer_lacks_what_follows_temperatur
     finding = only(said)
     assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", "lacking")
     assert (
-        holds(finding["difference"]["slope"], SLOPE) and "sim.csv has no temperature" in finding["statement"]
+        holds(finding["difference"]["slope"], SLOPE)
+        and "temperature of sim.csv is not known" in finding["statement"]
     )
     assert said["verdict"] == "identified" and said["fit"]["not_put_in"] == []
+    assert finding["assumption"] in finding["statement"]
 
 
 @pytest.mark.slow

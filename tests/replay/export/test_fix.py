@@ -188,6 +188,25 @@ def test_each_line_of_a_phone_is_one_of_its_own(
     assert {e.frequency: max(e.amplitude) for e in phone.effects} == pytest.approx(left)  # type: ignore[attr-defined, union-attr]
 
 
+@pytest.mark.parametrize(("upper", "held"), [(1.0, True), (0.5, False)])
+def test_a_line_that_may_last_all_along_is_put_in_whole(upper: float, held: bool) -> None:
+    """It was put in, and counted as left out for want of a setting of its part of the recording."""
+    values = {"frequency": (12.0, 0.0), "amplitude": ([0.0, 0.0, 0.02], [0.0] * 3), "fraction": (0.9, 0.0)}
+    found = finding("vibration_tone", "accel", values, "lacking", "z")
+    found["parameters"]["fraction"]["ci95"] = [0.2, upper]
+    for name in ("frequency", "fraction"):
+        found["difference"].pop(name)
+    made = fixed("phone", PHONE, found)
+    assert "amplitude = [0.0, 0.0, 0.02]" in made.text
+    assert made.left_out == ([] if held else ["vibration_tone"])
+
+
+def test_what_rests_on_an_assumption_is_put_into_no_configuration() -> None:
+    """A simulation at one temperature, without a thermometer, may have the slope that it does not show."""
+    made = fixed("phone", PHONE, SLOPE | {"assumption": "the temperature is not known"})
+    assert made.text == PHONE and made.left_out == ["gyro_bias_temperature"]
+
+
 SDF = """<?xml version="1.0"?>
 <!-- before -->
 <sdf version="1.9"><model name="m"><link name="l">
