@@ -110,7 +110,7 @@ FILLERS = {
 _RAW = {"raw", "uncal", "uncalibrated"}
 _OTHER_VECTORS = {
     *("quaternion", "quaternions", "attitude", "ahrs", "euler", "compass"),
-    *("direction", "directions", "normal", "normals", "velocity", "velocities"),
+    *("direction", "directions", "normals", "velocity", "velocities"),
 }
 """Words for what holds x, y, z of no sensor, which may be of gravity's size too: 1 or 9.8."""
 

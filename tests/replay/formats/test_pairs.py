@@ -113,7 +113,7 @@ def test_axes_that_nothing_names_are_those_of_one_sensor(tmp_path: Path) -> None
     [
         ("walk.csv", 1.1),
         *((name, 1.0) for name in ("Gravity.csv", "mag_field.csv", "velocity.csv")),
-        *((name, 1 / 9.81) for name in ("Quaternions.csv", "surface_normal.csv", "ahrs.csv")),
+        *((name, 1 / 9.81) for name in ("Quaternions.csv", "surface_normals.csv", "ahrs.csv")),
     ],
 )
 def test_axes_that_may_be_something_else_are_not_taken_for_an_accelerometers(
