@@ -40,7 +40,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
-from stillcal.calib_core.diagnosis.comparison.stated import concluded, differs, key_of, told
+from stillcal.calib_core.diagnosis.comparison.stated import concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -113,9 +113,9 @@ def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, 
 
 
 def _is_slow_noise(finding: Finding, pairs: Sequence[Difference]) -> bool:
-    """Whether wander that one recording has is the slow noise that both surely differ in."""
-    differing = {key_of(d) for d in pairs if differs(d)}
-    return finding.where.driver == NO_DRIVER and (f"{finding.sensor}_slow_noise", finding.sensor) in differing
+    """Whether wander that one recording has is the slow noise that is measured in both."""
+    compared = {key_of(d) for d in pairs}
+    return finding.where.driver == NO_DRIVER and (f"{finding.sensor}_slow_noise", finding.sensor) in compared
 
 
 def _paired(
