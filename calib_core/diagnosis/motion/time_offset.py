@@ -13,10 +13,8 @@ from stillcal.calib_core.diagnosis.model.measurement import Measured, direct_fin
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
 from stillcal.calib_core.diagnosis.motion.delay_fit import LONGEST, Fit, drawn, fitted, summed
-from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion
@@ -80,8 +78,8 @@ def shown_in_motion(
     grows = trend.grows and not (filters is not None and filters.explains_growth(trend.growth.value))
     surely = 0.0 if late is None else late.evidence.log_bayes_factor
     several = axes.differ or grows
+    by_time = trend.log_chance < axes.log_chance and (grows or not axes.differ)
     if several or (late is None and filters is None):
-        by_time = trend.log_chance < axes.log_chance
         late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
     arm, cause = lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where), None
     if filters is not None:
@@ -90,15 +88,15 @@ def shown_in_motion(
         cause = None if whole is None else filters.finding(whole, total, alone=late is None)
     findings = [f for f in (late, arm, cause) if f]
     if several:
-        return Shown(findings, None, _why_several(axes, trend, sure=late is not None))
+        return Shown(findings, None, _why_several(by_time=by_time, sure=late is not None))
     if abs(beyond.value) >= LONGEST:
         return Shown(findings, None, f"its turns tell none below {LONGEST} s")
     return Shown(findings, beyond)
 
 
-def _why_several(axes: AxisDelays, trend: DelayTrend, *, sure: bool) -> str:
+def _why_several(*, by_time: bool, sure: bool) -> str:
     """Say why there is no one delay. sure: whether that there are several is a finding."""
-    if trend.log_chance < axes.log_chance:
+    if by_time:
         return "it changes in the course of the recording" if sure else f"its early and late turns {UNTOLD}"
     return "its axes are late by different times" if sure else f"its axes {UNTOLD}"
 

@@ -172,7 +172,8 @@ def _of_both(finding: Mapping[str, Any], recording: str, simulation: str, name: 
         return f"{text} Set it to that."
     if name == "scale" and "scale_against_mean" in finding["difference"] and _overlap(finding, name):
         return f"{text} The difference is {_side(finding, 'difference', 'scale_against_mean')}."
-    return f"{text} Change it by {_side(finding, 'difference', name)}."
+    by = _side(finding, "difference", name).removeprefix(f"{parameter_noun(str(name))} ")
+    return f"{text} Change it by {by}."
 
 
 def _overlap(finding: Mapping[str, Any], name: str | None) -> bool:

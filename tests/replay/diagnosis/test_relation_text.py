@@ -72,9 +72,9 @@ def test_of_a_matrix_the_elements_that_differ_are_shown_of_both() -> None:
 def test_what_to_change_is_said_with_its_unit() -> None:
     """Gravity is unknown to 0.2 % in each of both, so scales overlap however sure their ratios are."""
     text = told("accel_scale", "too_small", ["x"], scale=([1.0, 0.0, 0.0], [0.99, 0.0, 0.0], "1"))
-    assert "Change it by scale x 1.000 ± 0.050 %." in text
+    assert "Change it by x 1.000 ± 0.050 %." in text
     text = told("accel_scale", "too_small", ["x"], scale=([1.0, 0.0, 0.0], [0.5, 0.0, 0.0], "1"))
-    assert "; real.csv has scale x 100.0 ± 5.0 %. Change it by scale x 50.0 ± 2.5 %." in text
+    assert "; real.csv has scale x 100.0 ± 5.0 %. Change it by x 50.0 ± 2.5 %." in text
 
 
 def test_what_is_superfluous_is_named_in_plain_words() -> None:
