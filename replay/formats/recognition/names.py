@@ -249,6 +249,10 @@ _LONG_WORD = re.compile(
 )
 _WITH_GRAVITY = re.compile(r"_?(?:including|incl|with)[_ ]?g(?:ravity)?(?![a-z])", re.IGNORECASE)
 """As browsers call what an accelerometer reads: accelerationIncludingGravity (W3C, Device Orientation)."""
+_ROTATION = {"rotation", "rot"}
+_VECTOR = {"vector", "vec"}
+"""Words that make a rotation an attitude: Android's rotation vector is a part of a quaternion."""
+
 _TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
 
 
@@ -390,11 +394,16 @@ def named_after(names: Sequence[str], sensor: str, container: str) -> list[str] 
     """
     bare = [name for name in names if name.strip().lower() in {"x", "y", "z"}]
     longer = [f"{sensor}.{name}" if name in bare else name for name in names]
-    else_called = bool(_OTHER_VECTORS & set(split_words(container)))
-    else_called |= not find_axes(qualified(("x", "y", "z"), f"{container}.{sensor}"))
     rotation = any((_OF_ROTATION | _ATTITUDE.keys()) & set(_words(name)[1]) for name in names)
     fits = len(bare) == 3 and not find_axes(names) and bool(find_axes(longer))
-    return longer if fits and not else_called and not rotation else None
+    return longer if fits and not called_otherwise(container, sensor) and not rotation else None
+
+
+def called_otherwise(container: str, sensor: str) -> bool:
+    """Whether what holds columns (a file's name) is called after something else than a sensor."""
+    if _OTHER_VECTORS & set(split_words(container)):
+        return True
+    return not find_axes(qualified(("x", "y", "z"), f"{container}.{sensor}"))
 
 
 def rates_alone(names: Sequence[str]) -> bool:
@@ -459,7 +468,9 @@ def _axis_of(name: str) -> _Word | None:
     unit = unit or next(iter(_OTHER_UNITS & {bracket, *words}), None)
     acceleration = bool(kinds & _ACCELERATION) or by_unit in _FORCE
     rate = bool(kinds & _RATE) or {"ang", "vel"} <= kinds or by_unit in _TURNING
-    if kinds & _NO_AXES or (acceleration and kinds & _ANGULAR) or not (acceleration or rate):
+    attitude = bool(kinds & _VECTOR and kinds & _ROTATION)
+    other = attitude or bool(kinds & _NO_AXES) or (acceleration and bool(kinds & _ANGULAR))
+    if other or not (acceleration or rate):
         return None
     sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE
     unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)

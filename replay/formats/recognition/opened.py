@@ -25,6 +25,7 @@ from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
 from stillcal.replay.formats.recognition.names import (
     OWN,
+    called_otherwise,
     find_axes,
     is_own,
     named_after,
@@ -203,6 +204,8 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
         sensors = sensors_of_rows(partial(_named_table, source, form), form.cut, form.rate_hz)
     if sensors:
         return Log(source.path, "text table", sensors, beside=source.local)
+    if form.name in SENSOR_LOGGER and called_otherwise(_container(source), "accelerometer"):
+        form = replace(form, name=UNKNOWN)  # the app's files of other quantities have the same columns
     if form.name == UNKNOWN:
         return _by_names(source, form, gyro)
     if form.name == "csv":
@@ -297,6 +300,10 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
         raise TraceError(source.path, what, remedy)
     if rates_alone(own.table.names or []):
         raise GyroscopeAloneError(source.path)
+    bare = {"x", "y", "z"} <= {name.strip().lower() for name in own.table.names or []}
+    if bare and called_otherwise(_container(source), "accelerometer"):
+        what = "is called after another quantity than acceleration, and nothing else says what x, y, z are"
+        raise TraceError(source.path, what, "give the accelerometer's file")
     return None
 
 

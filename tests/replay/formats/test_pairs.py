@@ -111,17 +111,24 @@ def test_axes_that_nothing_names_are_those_of_one_sensor(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "factor"),
     [
-        ("walk.csv", 1.1),
-        *((name, 1.0) for name in ("Gravity.csv", "mag_field.csv", "velocity.csv")),
-        *((name, 1 / 9.81) for name in ("Quaternions.csv", "surface_normals.csv", "ahrs.csv")),
+        *((name, 1.0) for name in ("Gravity.csv", "mag_field.csv", "velocity.csv", "rotation_vector.csv")),
+        *((name, 1 / 9.81) for name in ("Quaternions.csv", "surface_normals.csv", "GameRotationVector.csv")),
     ],
 )
-def test_axes_that_may_be_something_else_are_not_taken_for_an_accelerometers(
-    tmp_path: Path, name: str, factor: float
+@pytest.mark.parametrize("times", ["Timestamp", "time,seconds_elapsed"])
+def test_axes_of_something_else_are_not_taken_for_an_accelerometers(
+    tmp_path: Path, name: str, factor: float, times: str
 ) -> None:
-    (tmp_path / name).write_text(text("Timestamp,X,Y,Z", DATA[:, :4] * [1, factor, factor, factor]))
-    with pytest.raises(TraceError, match=r":1: no accelerometer found by its names; .*: Timestamp, X, Y, Z"):
+    table = np.column_stack([*[T for _ in times.split(",")], FORCE * factor])
+    (tmp_path / name).write_text(text(f"{times},x,y,z", table))
+    with pytest.raises(TraceError, match=rf"{name}: is called after another quantity than acceleration"):
         read_all(tmp_path / name)
+
+
+def test_axes_that_nothing_names_and_are_not_of_gravitys_size_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv").write_text(text("Timestamp,X,Y,Z", DATA[:, :4] * [1, 1.1, 1.1, 1.1]))
+    with pytest.raises(TraceError, match=r":1: no accelerometer found by its names; .*: Timestamp, X, Y, Z"):
+        read_all(tmp_path / "walk.csv")
 
 
 @pytest.mark.parametrize("others", ["w", "qw", "roll,pitch,yaw"])

@@ -102,6 +102,14 @@ def test_rows_of_other_sensors_may_have_other_cells(tmp_path: Path) -> None:
     assert_same(read(tmp_path, ["sensor,timestamp,x,y,z", *sensor_rows(others=others)]))
 
 
+@pytest.mark.parametrize("other", ["rotation_vector", "TYPE_GAME_ROTATION_VECTOR", "RotationVector"])
+def test_a_rotation_vector_is_no_gyroscope(tmp_path: Path, other: str) -> None:
+    rows = sensor_rows(others=[f"{other},{{t}},0.1,-0.2,0.3"])
+    recording = read(tmp_path, ["sensor,timestamp,x,y,z", *rows])
+    assert_same(recording)
+    assert any(note.endswith(f"passed over: {other}") for note in recording.notes)
+
+
 def test_units_are_found_by_gravity(tmp_path: Path) -> None:
     rows = ["sensor,timestamp,x,y,z", *sensor_rows(per_g=1 / 9.80665, per_rad=DEGREES)]
     recording = read(tmp_path, rows)
