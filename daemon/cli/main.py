@@ -10,6 +10,7 @@ import io
 import os
 import sys
 from importlib.util import find_spec
+from typing import Any
 
 import click
 
@@ -17,6 +18,7 @@ from stillcal.calib_core.errors import TryAgainError, UserError
 from stillcal.daemon.cli.exits import BAD_INPUT, INTERRUPTED, TRY_AGAIN
 from stillcal.daemon.cli.interruption import INTERRUPTION
 from stillcal.daemon.cli.lazy import LazyGroup, examples
+from stillcal.daemon.system.files import naming
 
 COMMANDS = {
     "run": "stillcal.daemon.cli.run:run_command",
@@ -60,8 +62,7 @@ def cli() -> None:
 
 def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal without the letters of a phone's name
+    _prepare_standard_output()
     if sys.argv[1:2] == ["run"]:
         _without_openssl()
     try:
@@ -82,13 +83,45 @@ def main() -> None:
         click.echo(f"stillcal: {error}", err=True)
         sys.exit(BAD_INPUT)
     except BrokenPipeError:
-        # Python would report it again when it closes standard output at its end.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
         click.echo(f"stillcal: {where}{error.strerror or error}", err=True)
         sys.exit(BAD_INPUT)
+
+
+class _StandardOutput(io.FileIO):
+    """Standard output. Its first error, such as that of a full disk, names it; the rest goes nowhere.
+
+    What waits in buffers would fail once more when the process ends, and Python would report that too.
+    """
+
+    def write(self, data: Any, /) -> int:
+        """Write bytes, and return how many were taken."""
+        try:
+            with naming("standard output"):
+                return super().write(data)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
+            raise
+
+
+def _prepare_standard_output() -> None:
+    """Let standard output name itself in an error, and take letters that a terminal does not have."""
+    stream = sys.stdout
+    if not isinstance(stream, io.TextIOWrapper):
+        return
+    raw = getattr(stream.buffer, "raw", stream.buffer)
+    if isinstance(raw, io.FileIO):  # a console of Windows is none
+        named = _StandardOutput(raw.fileno(), "wb", closefd=False)
+        stream = io.TextIOWrapper(
+            named if stream.write_through else io.BufferedWriter(named),
+            encoding=stream.encoding,
+            line_buffering=stream.line_buffering,
+            write_through=stream.write_through,
+        )
+    stream.reconfigure(errors="backslashreplace")
+    sys.stdout = stream
 
 
 def _without_openssl() -> None:

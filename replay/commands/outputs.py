@@ -22,9 +22,8 @@ from stillcal.replay.formats.writer import STANDARD_OUTPUT
 def write_output(path: Path, data: bytes) -> None:
     """Write a file whole or not at all, or into a device or a pipe; "-" is standard output."""
     if path == STANDARD_OUTPUT:
-        with naming(called(path)):
-            sys.stdout.buffer.write(data)
-            sys.stdout.buffer.flush()
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
     elif _is_written_into(path):
         with naming(path), path.open("wb") as device:
             device.write(data)

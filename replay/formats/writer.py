@@ -226,6 +226,10 @@ class StandardOutputWriter(TraceWriter):
     def _discard(self) -> None:
         self._stream = None
 
+    def _refused(self, error: OSError) -> TraceError:
+        what = f"cannot be written ({error.strerror or error})"
+        return TraceError("standard output", what, "lead it to a disk that has room")
+
 
 class SparingFile(io.FileIO):
     """A file opened for writing; `filled` once the disk was full and the spare room is in use.

@@ -112,15 +112,30 @@ def test_a_device_or_a_pipe_is_written_into_and_never_replaced(folder: Path, tmp
     assert sorted(p.name for p in tmp_path.iterdir()) == ["pipe", "pipe.csv"]
 
 
+def into_full_device(*words: object) -> tuple[int, str]:
+    """Return the exit code of a command whose standard output is full, and what it says."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONUNBUFFERED"}  # as users have it
+    with Path("/dev/full").open("wb") as full:
+        command = [STILLCAL, *map(str, words)]
+        said = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False
+        )
+    return said.returncode, said.stderr
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="has no device that is always full")
 def test_an_output_that_is_full_is_named(folder: Path) -> None:
-    command = [STILLCAL, "store", "export", str(folder / "store.json"), "--to", "px4", "--out"]
-    for out, named in (("/dev/full", "/dev/full"), ("-", "standard output")):
-        with Path("/dev/full").open("wb") as full:
-            said = subprocess.run(
-                [*command, out], stdout=full, stderr=subprocess.PIPE, text=True, check=False
-            )
-        assert (said.returncode, said.stderr) == (2, f"stillcal: {named}: No space left on device\n")
+    store = folder / "store.json"
+    full = "stillcal: standard output: No space left on device\n"
+    assert into_full_device("store", "show", store) == (2, full)
+    assert into_full_device("--help") == (2, full)
+    export = ("store", "export", store, "--to", "px4", "--out")
+    assert into_full_device(*export, "-") == (2, full)
+    assert into_full_device(*export, "/dev/full") == (2, full.replace("standard output", "/dev/full"))
+    code, said = into_full_device("convert", folder / "short.csv", "--out", "-", "--quiet")
+    assert code == 2
+    assert said.startswith("stillcal: standard output: cannot be written (No space left on device); lead it ")
+    assert said.count("\n") == 1
 
 
 def test_stages_are_shown_on_a_terminal_with_their_share_and_nowhere_else() -> None:
