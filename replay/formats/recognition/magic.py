@@ -55,8 +55,9 @@ _FOREIGN = {
 _JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{\]])")
 """How JSON begins that can hold records. A line in brackets begins the preamble of a text table too."""
 
-_ECHO = re.compile(rb"(?:---\s*\n)?(\w+):\s*\n[ \t]+\w+:.*?\n---\s*\n\1:\s*\n", re.DOTALL)
-"""How messages begin that are printed one after another: two with the same first field, `---` between."""
+_ECHO_END = re.compile(rb"^---\s*$", re.MULTILINE)
+_ECHO_FIELD = re.compile(rb"^(\w+):\s*\n[ \t]+\w+:", re.MULTILINE)
+"""Messages that are printed one after another, with `---` between: two have the same first field."""
 
 _PACKED = ("archive", "bzip2", "xz file", "zstd", "compressed")
 _REMEDIES = {
@@ -85,13 +86,19 @@ def kind_of(source: Source) -> str:
             raise ForeignError(source.path, f"is {name}, not a recording that can be read", remedy)
     if _JSON.match(head):
         return JSON
-    if _ECHO.match(_in_utf8(head)):
+    if _is_echo(_in_utf8(head)):
         return ECHO
     if b"\0" in head and not head.startswith(UTF16):
         what = "is not a text file, and no binary format that is known"
         remedy = "give one of the formats in docs/formats.md, or text in UTF-8"
         raise ForeignError(source.path, what, remedy)
     return TEXT
+
+
+def _is_echo(head: bytes) -> bool:
+    """Whether a text begins with printed messages, among which a tool's own lines may be."""
+    fields = [found[1] for part in _ECHO_END.split(head) if (found := _ECHO_FIELD.search(part))]
+    return len(fields) > 1 and fields[0] == fields[1]
 
 
 def _in_utf8(head: bytes) -> bytes:

@@ -49,7 +49,7 @@ from stillcal.replay.formats.recognition.text_formats import (
 from stillcal.replay.formats.shipped import located
 from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
 from stillcal.replay.formats.stream import SampleFile
-from stillcal.replay.formats.tables.echoed import echoed_records
+from stillcal.replay.formats.tables.echoed import Echoed
 from stillcal.replay.formats.tables.json_table import JsonTable
 from stillcal.replay.formats.tables.layout import missing
 from stillcal.replay.formats.tables.plain import plain_text
@@ -245,7 +245,12 @@ def _echo_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
 def _echo_tables(source: Source) -> dict[str, Callable[[], JsonTable]]:
     """Return what opens the table of messages that ROS printed, as json_tables does."""
     source = plain_text(source)
-    return {"": partial(JsonTable, source.path, partial(echoed_records, source), source.size)}
+
+    def opened() -> JsonTable:
+        messages = Echoed(source)
+        return JsonTable(source.path, messages.records, source.size, messages.notes)
+
+    return {"": opened}
 
 
 _RECORDS = {magic.JSON: json_tables, magic.ECHO: _echo_tables}

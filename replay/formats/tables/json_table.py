@@ -34,17 +34,23 @@ _REMEDY = "correct or delete that record"
 class JsonTable:
     """A table of JSON records. Opening reads its first block; `blocks` reads it through.
 
-    records: reads them from their start. Its attributes are a Table's; names are None if records are lists.
-    Raises TraceError.
+    records: reads them from their start. notes: where that says what it passes over. Its attributes are a
+    Table's; names are None if records are lists. Raises TraceError.
     """
 
-    def __init__(self, path: Path, records: Callable[[], Iterator[Records]], size_bytes: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        records: Callable[[], Iterator[Records]],
+        size_bytes: int,
+        notes: list[str] | None = None,
+    ) -> None:
         self._records = records
         self.path = path
         self.size_bytes = size_bytes
         self.bytes_read = self.skipped_rows = 0
         self.header_line: int | None = None
-        self.notes: list[str] = []
+        self.notes = [] if notes is None else notes
         self._dates: int | None = None
         first = next(records(), None)
         if first is None:

@@ -78,11 +78,46 @@ def test_values_that_are_not_finite_and_lists_of_several_lines(tmp_path: Path) -
         read(tmp_path, text.replace(f"  z: {RATE[0, 2].item()!r}\n", "  z: .NaN\n", 1))
 
 
-def test_a_message_that_breaks_off_is_named_by_its_line(tmp_path: Path) -> None:
-    text = "".join(f"{ros2(i)}---\n" for i in range(len(T)))
-    last = text[:-4].rindex("---\n")
-    line = text.count("\n", 0, last) + 2
-    with pytest.raises(TraceError, match=rf"imu.txt:{line}: field 'linear_acceleration.z' is empty"):
-        read(tmp_path, text[: text.rindex("  z:")])
-    with pytest.raises(TraceError, match=rf"imu.txt:{line}: neither a field of a message"):
-        read(tmp_path, text[:last] + "---\nheader\n")
+@pytest.mark.parametrize("message", [ros1, ros2])
+def test_a_last_message_that_is_not_whole_is_left_out(tmp_path: Path, message: Callable[[int], str]) -> None:
+    count = 12
+    before = "".join(f"{message(i)}---\n" for i in range(count))
+    last = message(count)
+    whole_from = last.index("linear_acceleration_covariance")
+    for end in range(0, len(last), 13):
+        recording = read(tmp_path, before + last[:end])
+        assert len(recording.accelerometer) == count + (end >= whole_from)
+        np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE[: len(recording.accelerometer)])
+        lines = len(last[:end].strip().splitlines())
+        said = f"imu.txt: ends within a message: its {lines} line{' is' if lines == 1 else 's are'} left out"
+        assert (said in recording.notes) is (0 < end < whole_from)
+
+
+LOST = "A message was lost!!!\n\ttotal count change:1\n\ttotal count: 1---\n"
+WARNING = "WARNING: topic [/imu] does not appear to be published yet\n"
+LOGGED = "[WARN] [1700000000.100000000] [_ros2cli_42]: New publisher discovered on topic '/imu'\n"
+
+
+@pytest.mark.parametrize("said", [LOST, WARNING, LOGGED, "^C"])
+def test_warnings_among_messages_are_left_out_and_counted(tmp_path: Path, said: str) -> None:
+    parts = [f"{ros2(i)}---\n" for i in range(len(T))]
+    lines = said.count("\n")
+    if lines:
+        first_axis = parts[40].index("  y:")
+        parts[40] = parts[40][:first_axis] + said + parts[40][first_axis:]
+    recording = read(tmp_path, "".join([said if lines else "", *parts, said]))
+    assert_read(recording)
+    if lines:
+        assert (
+            f"imu.txt: {3 * lines} lines are no part of a message (first in line 1): left out"
+            in recording.notes
+        )
+
+
+def test_a_message_that_a_warning_broke_is_left_out_and_its_line_named(tmp_path: Path) -> None:
+    parts = [f"{ros2(i)}---\n" for i in range(len(T))]
+    line = sum(part.count("\n") for part in parts[:40]) + 1
+    parts[40] = parts[40].replace("\n  z:", f"{WARNING}  z:", 1)
+    recording = read(tmp_path, "".join(parts))
+    np.testing.assert_array_equal(recording.accelerometer.xyz, np.delete(FORCE, 40, axis=0))
+    assert f"imu.txt: 1 message is not whole (first in line {line}): left out" in recording.notes
