@@ -144,7 +144,9 @@ class Source(ABC):
 
     async def take(self) -> list[Record]:
         """Wait for records and return all of them; an empty list once the source is closed."""
-        await self._wait_for_records()
+        while not self._records and not self._closed:
+            self._wakeup.clear()
+            await self._wakeup.wait()
         records = list(self._records)
         self._records.clear()
         self._resume()
@@ -174,12 +176,6 @@ class Source(ABC):
 
     def _resume(self) -> None:  # noqa: B027 - only a line can be held back
         """Continue reading after a full queue has been emptied."""
-
-    async def _wait_for_records(self) -> bool:
-        while not self._records and not self._closed:
-            self._wakeup.clear()
-            await self._wakeup.wait()
-        return bool(self._records)
 
     def _emit(self, record: Record) -> None:
         self._records.append(record)

@@ -14,11 +14,10 @@ import glob
 import math
 import os
 import termios
-from collections.abc import AsyncIterator
 
 import serial
 
-from stillcal.daemon.sources.base import Record, SerialSettings, Source
+from stillcal.daemon.sources.base import SerialSettings, Source
 from stillcal.daemon.wire.decoder import WireDecoder
 from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
 from stillcal.daemon.wire.messages import Command, Identify
@@ -40,7 +39,7 @@ UNSENT_LIMIT = 65_536
 class SerialSource(Source):
     """A serial line that is reopened whenever it is lost. Records come out in order of time.
 
-    Iterate over it, or call `take`, from one task. Between LinkUp and LinkDown lies what one connection
+    Call `take` from one task. Between LinkUp and LinkDown lies what one connection
     brought; nothing that was read from the device is lost between the two.
     """
 
@@ -69,12 +68,6 @@ class SerialSource(Source):
     def wire(self) -> WireCounters:
         """A copy of the decoder's counters."""
         return self._decoder.snapshot()
-
-    async def __aiter__(self) -> AsyncIterator[Record]:
-        while await self._wait_for_records():
-            record = self._records.popleft()
-            self._resume()
-            yield record
 
     async def let_gather(self, seconds: float) -> None:
         """Let bytes gather on the line for this long, s, so that small messages do not wake the process.

@@ -22,7 +22,7 @@ from types import TracebackType
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.daemon.store.atomic import sync_folder, write_atomically
-from stillcal.daemon.store.document import SCHEMA, HistoryEntry, StoreDocument, render
+from stillcal.daemon.store.document import SCHEMA, StoreDocument, render
 from stillcal.daemon.store.files import Reading, StoreError, is_locked_by, read, store_error, take_lock
 
 MODES = (0o600, 0o640)
@@ -170,11 +170,6 @@ class Store:
             raise store_error(error, self.path, "read") from error
         if not stat.S_ISREG(found.st_mode):
             raise StoreError(f"{self.path} cannot be a store: not a regular file: give another path")
-
-    def history(self) -> tuple[HistoryEntry, ...]:
-        """Return the earlier and the rejected calibrations, oldest first."""
-        document = self.load()
-        return document.history if document else ()
 
     def recover(self) -> Outcome:
         """Make the store usable: to be called before the first use, and called again before every change.

@@ -11,7 +11,7 @@ import pytest
 
 from stillcal.calib_core.static.settings import Sense
 from stillcal.calib_core.streams.events import Tick
-from stillcal.daemon.sources.base import LinkDown, LinkUp, Record
+from stillcal.daemon.sources.base import LinkDown, LinkUp
 from stillcal.daemon.sources.serial import READ_BYTES, SerialSource
 from stillcal.daemon.wire.decoder import WireDecoder
 from stillcal.daemon.wire.encoder import Form, WireEncoder, WireSettings
@@ -54,11 +54,7 @@ def test_a_full_queue_stops_reading_and_holds_the_sender_back(tmp_path: Path) ->
                         break
                     await asyncio.sleep(0)
             assert len(source._records) <= 8 + READ_BYTES // frame + 1
-            records: list[Record] = []
-            async for record in source:
-                records.append(record)
-                if len(starts(records)) == sent:
-                    break
+            records = await until(source, lambda r: len(starts(r)) == sent)
             assert starts(records) == [float(i) for i in range(sent)]
 
     within_reason(test())
@@ -182,7 +178,7 @@ def test_a_flood_of_commands_arrives_whole_once_the_device_reads(tmp_path: Path)
     within_reason(test())
 
 
-def test_closing_loses_no_record_and_ends_the_iteration(tmp_path: Path) -> None:
+def test_closing_loses_no_record(tmp_path: Path) -> None:
     async def test() -> None:
         device = Device(tmp_path / "tty")
         source = SerialSource(quick(device.path))
@@ -191,8 +187,9 @@ def test_closing_loses_no_record_and_ends_the_iteration(tmp_path: Path) -> None:
             device.write(b"".join(WireEncoder().encode(block(float(i))) for i in range(20)))
             while len(source._records) < 21:
                 await asyncio.sleep(0)
-        records = [record async for record in source]
+        records = await source.take()
         assert starts(records) == [float(i) for i in range(20)]
         assert records[-1] == LinkDown(str(device.path), "closed")
+        assert await source.take() == []
 
     within_reason(test())

@@ -148,7 +148,7 @@ def test_a_failing_fsync_leaves_the_old_store(path, make_record, failing):
             store.publish(make_record(2))
         assert_intact(path, before)
         store.publish(make_record(3))
-        assert [e.calibration.id for e in store.history()] == [make_record(1).id]
+        assert [e.calibration.id for e in store.load().history] == [make_record(1).id]
 
 
 def test_a_store_whose_folder_cannot_be_synced_is_in_place_and_says_so(path, make_record):
@@ -218,7 +218,7 @@ MOUNTED = textwrap.dedent("""
     if fault == "full":
         os.unlink(folder / "ballast")
         store.reject(document.history[0].calibration, "worse")
-        assert len(store.history()) == 1
+        assert len(store.load().history) == 1
 """)
 
 

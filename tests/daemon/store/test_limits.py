@@ -50,14 +50,14 @@ def test_each_change_keeps_as_many_as_the_settings_say(path, make_record):
     with Store(path, StoreSettings(history=2)) as store:
         for number in range(5):
             store.publish(make_record(number))
-        assert [e.calibration.fitted_at for e in store.history()] == [2.0, 3.0]
+        assert [e.calibration.fitted_at for e in store.load().history] == [2.0, 3.0]
         store.reject(make_record(7), "worse")
         store.reject(make_record(8), "worse")
-        assert [e.calibration.fitted_at for e in store.history()] == [3.0, 8.0]
+        assert [e.calibration.fitted_at for e in store.load().history] == [3.0, 8.0]
         store.rollback(1)
-        assert [e.what for e in store.history()] == ["rejected", "rolled_back"]
+        assert [e.what for e in store.load().history] == ["rejected", "rolled_back"]
         store.retire("another phone")
-        assert len(store.history()) == 2
+        assert len(store.load().history) == 2
 
 
 # Files

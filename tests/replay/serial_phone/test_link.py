@@ -23,6 +23,7 @@ from stillcal.replay.serial_phone.link import LinkSettings, PhoneLink, serve_pho
 from stillcal.replay.serial_phone.stream import PhoneStream
 from tests.support.living import within_reason
 from tests.support.phone_pieces import EVENTS, pieces, whole
+from tests.support.serial_line import seen, until
 from tests.support.wire_said import A, G, joined, same
 
 
@@ -38,18 +39,18 @@ def port(path: Path | str) -> SerialSettings:
     return SerialSettings(str(path), retry_s=0.001, retry_max_s=0.01)
 
 
-async def heard(source: SerialSource, step: float = 0.7, until: float = math.inf) -> list[Any]:
-    """Grant and listen until the phone's end, or until its time has come to `until`."""
+async def heard(source: SerialSource, step: float = 0.7, end: float = math.inf) -> list[Any]:
+    """Grant and listen until the phone's end, or until its time has come to `end`."""
     records: list[Any] = []
-    async for record in source:
-        records.append(record)
-        if isinstance(record, End):
+    while came := await source.take():
+        records += came
+        if any(isinstance(record, End) for record in came):
             source.send(Sleep(math.inf))
             return records
-        if isinstance(record, Tick):
-            if record.t >= until:
+        for tick in (record for record in came if isinstance(record, Tick)):
+            if tick.t >= end:
                 return records
-            source.send(Grant(record.t + step))
+            source.send(Grant(tick.t + step))
     raise AssertionError("the source ended before the phone")
 
 
@@ -100,15 +101,14 @@ def test_sleep_on_the_wire_is_exact_to_the_sample() -> None:
         link = PhoneLink(PhoneStream(pieces(a, g, [], ())), Hello(flow="credit"))
         async with served(link) as task, SerialSource(port(link.plug())) as source:
             records: list[Any] = []
-            async for record in source:
-                records.append(record)
-                if isinstance(record, End):
-                    source.send(Sleep(math.inf))
-                    break
-                if isinstance(record, Tick):
-                    stop = math.floor(record.t) + 1.0
+            while not any(isinstance(record, End) for record in records):
+                came = await source.take()
+                records += came
+                for tick in (record for record in came if isinstance(record, Tick)):
+                    stop = math.floor(tick.t) + 1.0
                     source.send(Sense(stop) if stop % 2 else Sleep(stop))
                     source.send(Grant(stop))
+            source.send(Sleep(math.inf))
             await task
             expected = a.t[np.floor(a.t) % 2 == 0]
             assert joined(records, A).t.tolist() == expected.tolist()
@@ -126,7 +126,7 @@ def test_pulled_out_and_plugged_in_under_another_name_it_goes_on(tmp_path: Path)
         async with served(link) as task, SerialSource(port(tmp_path / "tty*")) as source:
             records: list[Any] = []
             for life in range(1, 5):
-                records += await heard(source, until=8.0 * life)
+                records += await heard(source, end=8.0 * life)
                 link.unplug()
                 link.plug(tmp_path / f"tty{life % 2}")
             records += await heard(source)
@@ -172,7 +172,7 @@ def test_a_daemon_that_comes_back_finds_time_where_it_left_it(tmp_path: Path) ->
             records: list[Any] = []
             for stop in (10.0, 20.0, math.inf):
                 async with SerialSource(port(where)) as source:
-                    records += await heard(source, until=stop)
+                    records += await heard(source, end=stop)
                     if stop == math.inf:
                         await task
             assert same(joined(records, A), a) and same(joined(records, G), g)
@@ -187,11 +187,7 @@ def test_a_lost_grant_is_asked_for_again() -> None:
             PhoneStream(pieces(a, g, [], ())), Hello(flow="credit"), LinkSettings(repeat_s=0.001)
         )
         async with served(link) as task, SerialSource(port(link.plug())) as source:
-            ticks = 0
-            async for record in source:
-                ticks += isinstance(record, Tick)
-                if ticks == 3:
-                    break
+            await until(source, seen(Tick, 3))
             records = await heard(source, step=10.0)
             await task
             assert same(joined(records, A), a)
