@@ -101,16 +101,13 @@ def named_if_steady(line: Finding, seen: Stretches, others: Sequence[float]) -> 
     seen: the stretches that it was found in; others: Hz, the lines besides it.
     """
     frequency = float(np.asarray(line.parameters["frequency"].value))
-    alone = seen
-    for other in others:
-        alone = alone.without(other, abs(other - frequency) / 2.0)
     within = (seen.span[:, 0] >= line.where.t_start) & (seen.span[:, 1] <= line.where.t_end)
     rows = np.union1d(_spread(np.arange(len(seen.length))), _spread(np.flatnonzero(within)))
-    told = [
-        _told(of_line, line.where, float(np.median(seen.span[:, 1] - seen.span[:, 0])))
-        for of_line in (_pieces(alone, rows, frequency, parts) for parts in SPLITS)
-        if of_line.t.size
-    ]
+    alone = seen.only(rows)
+    for other in others:
+        alone = alone.without(other, abs(other - frequency) / 2.0)
+    edge = float(np.median(seen.span[:, 1] - seen.span[:, 0]))
+    told = [_told(of_line, line.where, edge) for of_line in _pieces(alone, frequency) if of_line.t.size]
     if not told:
         return line
     best = max(told, key=lambda one: one.seen.log_bayes_factor)
@@ -142,40 +139,51 @@ class _Told:
     error: Array
 
 
-def _pieces(seen: Stretches, rows: Index, frequency: float, parts: int) -> Pieces:
-    """Cut the middle half of every stretch into parts and read the line's amplitude there.
+def _pieces(seen: Stretches, frequency: float) -> list[Pieces]:
+    """Cut the middle half of every stretch into each number of parts and read the line's amplitude there.
 
-    The halves lie end to end, as stretches overlap by half. The noise is the median of the neighbours of the
-    line in its own stretch.
+    The halves lie end to end, as stretches overlap by half.
     """
-    at, read, own, about = [], [], [], []
-    centre = round(frequency / float(seen.f[1]))
-    away = np.arange(OWN // 2 + 1, BESIDE)
-    least = SILENT * float(seen.power[rows].max())
-    for row in rows:
-        n = int(seen.length[row])
-        first, size = n // 4, (n // 2) // parts
-        part = slice(first, first + parts * size)
-        taper = seen.taper[row, part]
+    noise = _noise(seen, frequency)
+    read: list[list[tuple[Array, ...]]] = [[] for _ in SPLITS]
+    for row, n in enumerate(seen.length):
+        middle = slice(n // 4, n // 4 + n // 2)
+        t, taper = seen.t[row, middle], seen.taper[row, middle]
         there = taper > 0.0
-        value = seen.tapered[row, part] / np.where(there, taper, 1.0)[:, None]
-        window = np.sin(np.pi * (np.arange(size) + 0.5) / size) * there.reshape(parts, size)
-        turned = value * np.exp(-2j * np.pi * frequency * seen.t[row, part])[:, None]
-        read_there = (window[:, :, None] * turned.reshape(parts, size, len(AXES))).sum(axis=1)
-        steps = np.round(seen.wider[row] * away).astype(np.int64)
-        near = np.clip(np.concatenate([centre - steps, centre + steps]), 0, seen.f.size - 1)
-        noise = np.median(seen.power[row, near], axis=0) / np.log(2.0) / (seen.taper[row] ** 2).sum()
-        noise = np.maximum(noise, least / (seen.taper[row] ** 2).sum())
-        weight = (window**2).sum(axis=1)
-        power = (np.abs(read_there) ** 2 / noise).sum(axis=1) / np.maximum(weight, 1e-9)
-        whole = weight >= LEAST_THERE * size / 2.0
-        middle = seen.t[row, part].reshape(parts, size).mean(axis=1) + seen.span[row].mean()
-        at.append(middle[whole])
-        read.append(np.sqrt(power[whole]))
-        sine = np.abs(read_there) ** 2 - noise * weight[:, None]
-        own.append((4.0 * sine / np.maximum(window.sum(axis=1), 1e-9)[:, None] ** 2)[whole])
-        about.append(np.broadcast_to(noise, sine.shape)[whole])
-    return Pieces(*map(np.concatenate, (at, read, own, about)))
+        value = seen.tapered[row, middle] / np.where(there, taper, 1.0)[:, None]
+        turned = value * np.exp(-2j * np.pi * frequency * t)[:, None]
+        for parts, of_parts in zip(SPLITS, read, strict=True):
+            of_parts.append(_parts(t + seen.span[row].mean(), there, turned, noise[row], parts))
+    return [Pieces(*map(np.concatenate, zip(*of_parts, strict=True))) for of_parts in read]
+
+
+def _noise(seen: Stretches, frequency: float) -> Array:
+    """Return the noise (S, 3) of a sample, the median of the line's neighbours in its own stretch."""
+    away = np.arange(OWN // 2 + 1, BESIDE)
+    steps = np.round(seen.wider[:, None] * np.concatenate([-away, away])).astype(np.int64)
+    near = np.clip(round(frequency / float(seen.f[1])) + steps, 0, seen.f.size - 1)
+    power = np.median(seen.power[np.arange(len(near))[:, None], near], axis=1) / np.log(2.0)
+    least = SILENT * float(seen.power.max())
+    return np.asarray(np.maximum(power, least) / (seen.taper**2).sum(axis=1)[:, None])
+
+
+def _parts(
+    t: Array, there: NDArray[np.bool_], turned: Array, noise: Array, parts: int
+) -> tuple[Array, Array, Array, Array]:
+    """Return the fields of `Pieces` of one stretch, (parts,) or (parts, 3), where enough was recorded.
+
+    t, there: (n,) s, and whether a sample was recorded; turned: (n, 3) complex, by the line's phase.
+    """
+    size = t.size // parts
+    used = parts * size
+    window = np.sin(np.pi * (np.arange(size) + 0.5) / size) * there[:used].reshape(parts, size)
+    sums = (window[:, None] @ turned[:used].reshape(parts, size, len(AXES)))[:, 0]
+    squared, weight = sums.real**2 + sums.imag**2, (window**2).sum(axis=1)
+    power = (squared / noise).sum(axis=1) / np.maximum(weight, 1e-9)
+    sine = 4.0 * (squared - noise * weight[:, None]) / np.maximum(window.sum(axis=1), 1e-9)[:, None] ** 2
+    whole = weight >= LEAST_THERE * size / 2.0
+    middles = t[:used].reshape(parts, size).mean(axis=1)
+    return middles[whole], np.sqrt(power[whole]), sine[whole], np.broadcast_to(noise, sine.shape)[whole]
 
 
 def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
@@ -187,12 +195,10 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
     t, s, inside, louder = pieces.t[known], pieces.amplitude[known], inside[known], pieces.louder()[known]
     grid = _densities(s, inside, louder)
     steady, changing, here = grid.steady, grid.changing, grid.here
-    fold = blocks(s.size)
-    gain = float(
-        sum(_predicted(changing, fold == k) - _predicted(steady, fold == k) for k in np.unique(fold))
-    )
-    nats = _evidence(changing) - _evidence(steady)
-    weight = np.exp(changing.sum(axis=1) - changing.sum(axis=1).max())
+    gain = _predicted(changing) - _predicted(steady)
+    of_grid = changing.sum(axis=1)
+    nats = _evidence(of_grid) - _evidence(steady.sum(axis=1))
+    weight = np.exp(of_grid - of_grid.max())
     weight /= weight.sum()
     chance = weight @ here
     there = chance > 0.5
@@ -274,13 +280,16 @@ def _gone(s: Array, floor: float) -> Array:
 
 
 def _evidence(densities: Array) -> float:
-    """Return the log evidence of a model whose grid points (G, n) are alike beforehand."""
-    return float(np.logaddexp.reduce(densities.sum(axis=1)) - np.log(len(densities)))
+    """Return the log evidence of a model; densities: (G,) of its grid points, which are alike beforehand."""
+    return float(np.logaddexp.reduce(densities) - np.log(densities.size))
 
 
-def _predicted(densities: Array, left_out: NDArray[np.bool_]) -> float:
-    """Return the log probability of the pieces that are left out, as the others tell it."""
-    return _evidence(densities) - _evidence(densities[:, ~left_out])
+def _predicted(densities: Array) -> float:
+    """Return the log probability of every block of pieces, as the others tell it; densities: (G, n)."""
+    fold = blocks(densities.shape[1])
+    of_blocks = densities @ (fold[:, None] == np.unique(fold)).astype(np.float64)
+    whole = of_blocks.sum(axis=1)
+    return sum(_evidence(whole) - _evidence(whole - one) for one in of_blocks.T)
 
 
 def _unsteady(line: Finding, told: _Told) -> Finding:

@@ -105,20 +105,24 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         left = left.without(_hertz(one), max(apart, NEAR / SHORT))
     passed = (seen.f <= LEAST_LINE_HZ) | (seen.f >= 0.49 * 2.0 * float(seen.f[-1]))
     found: list[Finding] = []
+    ratio = left.ratio()
     for _ in range(MOST_TRIED):
         open_ones = np.flatnonzero(left.free & ~passed)
-        k = _line(left.ratio[:, open_ones], left.share) if open_ones.size else None
-        if k is None or len(found) + len(known) == MOST_LINES:
+        k = _line(ratio[:, open_ones], left.share) if open_ones.size else None
+        if k is None:
             break
         middle = int(open_ones[k])
-        lasting = _lasting(left.ratio[:, middle - 1 : middle + 2].max(axis=(1, 2)))
+        lasting = _lasting(ratio[:, middle - 1 : middle + 2].max(axis=(1, 2)))
         pace = _pace(seen, lasting, middle)
         line = _judged(sensor, left, lasting, middle) if pace is None else None
         if line is None:
             passed |= _of_one_cause(seen, middle, pace)
-        else:
-            found.append(line)
-            left = left.without(_hertz(line), apart)
+            continue
+        found.append(line)
+        if len(found) + len(known) == MOST_LINES:
+            break
+        left = left.without(_hertz(line), apart)
+        ratio = left.ratio()
     every = [*known, *found]
     return [named_if_steady(one, seen, [_hertz(f) for f in every if f is not one]) for one in found]
 
@@ -196,7 +200,6 @@ def _pace(seen: Stretches, rows: Index, middle: int) -> float | None:
     if not rows.size:
         return None
     power = seen.power[rows].sum(axis=(0, 2))
-    floor = np.array([np.median(power[max(k - 20, 1) : k + 21]) for k in range(middle + 3)])
     step, line = float(seen.f[1]), float(power[middle - 1 : middle + 2].max())
     for n in range(2, int(middle * step / PACES[0]) + 1):
         pace = middle / n
@@ -204,6 +207,11 @@ def _pace(seen: Stretches, rows: Index, middle: int) -> float | None:
             continue
         lower = [round(pace * (n - k)) for k in (1, 2) if n > k]
         tops = [float(power[max(j - 2, 0) : j + 3].max()) for j in lower]
-        if all(p > CONTRAST * floor[j] and p > 0.5 * line for p, j in zip(tops, lower, strict=True)):
+        if all(p > 0.5 * line and p > CONTRAST * _about(power, j) for p, j in zip(tops, lower, strict=True)):
             return pace
     return None
+
+
+def _about(power: Array, k: int) -> float:
+    """Return the usual power about a frequency; power: (F,)."""
+    return float(np.median(power[max(k - 20, 1) : k + 21]))

@@ -36,7 +36,7 @@ class Stretches:
     where a sample is missing; tapered: (S, n, 3), no means, under it; length: (S,) places; whole: s, first
     and last of the recording, span: (S, 2), of each; share: (S,), what of each the next does not hold;
     to_amplitude: (S,), what makes amplitudes of sums of tapered values; f: (F,) Hz; free: (F,), where no
-    known line is; power, ratio to that of the free ones of its neighbours: (S, F, 3).
+    known line is; power: (S, F, 3).
     """
 
     t: Array
@@ -50,12 +50,29 @@ class Stretches:
     f: Array
     free: NDArray[np.bool_]
     power: Array
-    ratio: Array
 
     @property
     def wider(self) -> Array:
         """How many of the frequencies `f` lie between two that a stretch of its length tells apart, (S,)."""
         return np.asarray(self.tapered.shape[1] / self.length, dtype=np.float64)
+
+    def ratio(self) -> Array:
+        """Return the ratio (S, F, 3) of the power to the mean of the free ones of its neighbours."""
+        return _ratios(self.power, self.wider, self.free)
+
+    def only(self, rows: Index) -> Stretches:
+        """Return some of them."""
+        return replace(
+            self,
+            t=self.t[rows],
+            taper=self.taper[rows],
+            tapered=self.tapered[rows],
+            length=self.length[rows],
+            span=self.span[rows],
+            share=self.share[rows],
+            to_amplitude=self.to_amplitude[rows],
+            power=self.power[rows],
+        )
 
     def without(self, frequency: float, half: float) -> Stretches:
         """Return them without the line at a frequency, Hz: a sine fitted to each is taken off.
@@ -63,13 +80,11 @@ class Stretches:
         What is within `half` Hz of it is no more free: a sine leaves less there than noise.
         """
         phase = 2.0 * np.pi * frequency * self.t
-        sine = self.taper[:, :, None] * np.stack([np.cos(phase), np.sin(phase)], axis=2)
-        across = np.swapaxes(sine, 1, 2)
-        tapered = self.tapered - sine @ np.linalg.solve(across @ sine, across @ self.tapered)
-        power = np.asarray(np.abs(np.fft.rfft(tapered, axis=1)) ** 2)
+        sine = np.stack([np.cos(phase), np.sin(phase)], axis=1) * self.taper[:, None]
+        own, across = sine @ np.swapaxes(sine, 1, 2), sine @ self.tapered
+        tapered = self.tapered - np.swapaxes(sine, 1, 2) @ np.linalg.solve(own, across)
         free = self.free & (np.abs(self.f - frequency) > half)
-        ratio = _ratios(power, self.wider, free)
-        return replace(self, tapered=tapered, free=free, power=power, ratio=ratio)
+        return replace(self, tapered=tapered, free=free, power=_powers(tapered))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,14 +134,12 @@ def stretches(
     if first.size < 3:
         return None
     t, taper, tapered = _tapered(places, first, length, longest)
-    power = np.asarray(np.abs(np.fft.rfft(tapered, axis=1)) ** 2)
     f = np.asarray(np.fft.rfftfreq(longest, 1.0 / rate), dtype=np.float64)
     share = np.minimum(np.append(np.diff(first), longest) / length, 1.0)
     free = np.ones(f.size, dtype=np.bool_)
-    ratio = _ratios(power, longest / length, free)
     whole_span = float(places.t[0]), float(places.t[-1])
     return Stretches(
-        t, taper, tapered, length, whole_span, span, share, 2.0 / taper.sum(axis=1), f, free, power, ratio
+        t, taper, tapered, length, whole_span, span, share, 2.0 / taper.sum(axis=1), f, free, _powers(tapered)
     )
 
 
@@ -202,6 +215,12 @@ def _tapered(places: Places, first: Index, length: Index, longest: int) -> tuple
         t[i, :n] = places.t[a : a + n] - places.t[a : a + n].mean()
         values[i, :n] = (own - own.mean(axis=0)) * taper[i, :n, None]
     return t, taper, values
+
+
+def _powers(tapered: Array) -> Array:
+    """Return the powers (S, F, 3) of tapered values (S, n, 3)."""
+    spectrum = np.fft.rfft(tapered, axis=1)
+    return np.asarray(spectrum.real**2 + spectrum.imag**2)
 
 
 def _ratios(power: Array, wider: Array, free: NDArray[np.bool_]) -> Array:
