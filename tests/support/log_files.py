@@ -40,13 +40,15 @@ DATA = rows(600)
 
 
 def sensor_logger_files(
-    bias: tuple[float, float, float] = (0.01, -0.02, 0.03), data: np.ndarray = DATA[:400]
+    bias: tuple[float, float, float] = (0.01, -0.02, 0.03),
+    data: np.ndarray = DATA[:400],
+    force_bias: float = 0.1,
 ) -> dict[str, str]:
     ns = np.round(1.7e18 + data[:, :1] * 1e9)
     files = {}
     for name, xyz in (
         ("TotalAcceleration", data[:, 1:4]),
-        ("AccelerometerUncalibrated", data[:, 1:4] + 0.1),
+        ("AccelerometerUncalibrated", data[:, 1:4] + force_bias),
         ("Gyroscope", data[:, 4:]),
         ("GyroscopeUncalibrated", data[:, 4:] + bias),
         ("Accelerometer", data[:, 1:4] * 0.01),
@@ -85,10 +87,10 @@ def as_zip(folder: Path, files: dict[str, str]) -> Path:
     return folder / "export.zip"
 
 
-def gnss_logger(folder: Path, data: np.ndarray = DATA) -> Path:
+def gnss_logger(folder: Path, data: np.ndarray = DATA[:400]) -> Path:
     header = "utcTimeMillis,elapsedRealtimeNanos,UncalAccelXMps2,UncalAccelYMps2,UncalAccelZMps2,BiasXMps2"
     lines = ["# ", "# Header Description:", f"# UncalAccel,{header}", "Raw,1,2,3", "Fix,GPS,52.2"]
-    for row in data[:400].tolist():
+    for row in data.tolist():
         stamp = f"1700000000000,{round(row[0] * 1e9)}"
         lines.append(f"UncalAccel,{stamp},{row[1]},{row[2]},{row[3]},0.1,0.2,0.3")
         lines.append(f"UncalGyro,{stamp},{row[4]},{row[5]},{row[6]},0.01,-0.02,0.03")
@@ -154,8 +156,8 @@ def ros2_file(folder: Path) -> Path:
     return next(ros2_bag(folder).glob("*.db3"))
 
 
-def mcap_file(folder: Path) -> Path:
-    return next(ros2_bag(folder, StoragePlugin.MCAP).glob("*.mcap"))
+def mcap_file(folder: Path, data: np.ndarray = DATA) -> Path:
+    return next(ros2_bag(folder, StoragePlugin.MCAP, data=data).glob("*.mcap"))
 
 
 def bag_of_texts(folder: Path, storage: StoragePlugin | None) -> Path:
@@ -223,8 +225,8 @@ def parquet_file(folder: Path, data: np.ndarray = DATA) -> Path:
     return folder / "w.parquet"
 
 
-def dataflash_file(folder: Path) -> Path:
-    (folder / "log.bin").write_bytes(dataflash())
+def dataflash_file(folder: Path, data: np.ndarray = DATA) -> Path:
+    (folder / "log.bin").write_bytes(dataflash(instances=1, data=data))
     return folder / "log.bin"
 
 
