@@ -127,12 +127,17 @@ def find_change(fit: AccelerometerFit, held: Sequence[HeldRest]) -> Change | Non
     if p_value > LEVEL:  # nothing that lasts
         return _excursion(rests, residuals, design, by_bias)
     shape, split, extra = curves[best]
+    _, solution = tests[best]
+    if shape is Shape.STEP:
+        columns = by_bias if extra.shape[1] == by_bias.shape[1] else design
+        split = _placed(residuals, design, columns, split)
+        extra = columns * _after(n, split)
+        _, solution = _f_test(residuals, design, extra)
     if not _stands_without_any(residuals, design, extra, LEVEL / len(tests)):
         return None
     span = float(t[-1] - t[0]) if shape is Shape.DRIFT else 0.0
     celsius = np.array([np.nan if r.temperature is None else r.temperature for r in rests])
     warmth = _correlation(t, celsius) if shape is Shape.DRIFT else float("nan")
-    _, solution = tests[best]
     size, shift = frozen(-solution[p : p + 3]), frozen(solution[:p])
     return Change(shape, rests[split].t_start, size, shift, span, warmth, p_value)
 
@@ -234,9 +239,21 @@ def _after(n: int, split: int) -> Array:
 
 def _splits(n: int, side: int) -> Iterator[int]:
     """Yield the rests of n before which a step is tried, with `side` rests at least on either side."""
-    first, last = side, n - side
-    step = max(1, -(-(last - first + 1) // MOST_SPLITS))
-    yield from range(first, last + 1, step)
+    yield from range(side, n - side + 1, _apart(n, side))
+
+
+def _apart(n: int, side: int) -> int:
+    """Return of how many rests one begins a step that is tried."""
+    return max(1, -(-(n - 2 * side + 1) // MOST_SPLITS))
+
+
+def _placed(residuals: Array, design: Array, columns: Array, tried: int) -> int:
+    """Return the rest before which a step explains most, of those between the neighbours of the one tried."""
+    n = len(residuals)
+    side = LEAST_SIDE if columns.shape[1] == 3 else design.shape[1] + 2
+    away = _apart(n, side) - 1
+    places = range(max(tried - away, side), min(tried + away, n - side) + 1)
+    return min(places, key=lambda k: _left(residuals, np.hstack((design, columns * _after(n, k))))[0])
 
 
 def _f_test(residuals: Array, design: Array, extra: Array) -> tuple[float, Array]:

@@ -116,6 +116,15 @@ def test_after_a_large_step_only_the_rests_since_count() -> None:
     assert part.bias == pytest.approx(BIAS + step, abs=0.2 * MG)
 
 
+@pytest.mark.parametrize(("n", "at"), [(60, 20), (60, 32), (104, 54), (240, 161)])
+def test_a_step_between_two_of_the_places_tried_is_found_at_its_own_rest(n: int, at: int) -> None:
+    """Of more than 40 rests not every one is tried: a rest of the old sensor would spoil the new fit."""
+    step = np.array([20.0, 10.0, -15.0]) * MG
+    outcome = decided(pool(n, 2, lambda i, t: step * (i >= at)))
+    assert outcome.accepted and outcome.since == 60.0 * at
+    assert outcome.record.accelerometer.rms_residual < 2 * NOISE
+
+
 def test_after_a_large_step_with_too_few_rests_since_nothing_is_fitted() -> None:
     step = np.array([20.0, 0.0, 0.0]) * MG
     outcome = decided(pool(30, 2, lambda i, t: step * (i >= 25)))
