@@ -296,7 +296,16 @@ class Engine:
         state.check_due = state.record is not None
         state.next_check = next_on_grid(state.began or t, interval, resumed(state, t))
         self._policy.check(t)
+        if self._waits_in_vain(t):
+            self._policy.calibrate(t, Occasion.UNPLUGGED)
         self._plan(t)
+
+    def _waits_in_vain(self, t: float) -> bool:
+        """Whether a first calibration may be possible at t (s), but no charger has been heard of for long."""
+        state, settings = self._state, self.settings
+        long = state.began is not None and t - state.began >= settings.schedule.recalibrate_interval_s
+        enough = state.attitudes >= settings.calibrate.accelerometer.prior_attitudes
+        return state.charging is None and not state.complete and long and enough
 
     def _do_review(self, t: float) -> None:
         state = self._state

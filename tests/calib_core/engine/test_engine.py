@@ -91,6 +91,15 @@ def test_without_word_of_a_charger_enough_attitudes_do() -> None:
     assert day.stored[0].record.acceptance.evidence["occasion"] == "no charger was ever reported"
 
 
+def test_without_word_of_a_charger_a_first_calibration_comes_after_six_hours() -> None:
+    """Attitudes as a day has them are far fewer than those at which gathering ends."""
+    day = Day(Poses(count=12, rest_s=(5.0, 6.0)), Rest(duration_s=250.0))
+    day.events = tuple(e for e in day.events if not isinstance(e, Charging))
+    day.lived()
+    assert day.stored[0].t == pytest.approx(240.0, abs=0.1)  # QUICK's six hours
+    assert day.bias_error(day.stored[0]) < 0.02
+
+
 def test_checks_stay_on_their_grid_across_twelve_hours_without_samples() -> None:
     day = Day(
         Poses(count=20, rest_s=(6.0, 8.0), charging=True), Table(duration_s=1500.0, rest_s=(10.0, 60.0))
