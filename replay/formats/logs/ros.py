@@ -187,6 +187,8 @@ class _Mcap:
 
         if self.unfinished:
             counts = Counter((_type(s), c.topic, c.message_encoding) for s, c, _ in self._scanned())
+            if not counts:
+                raise ValueError("it breaks off before its first whole message")
             return [_Stored(topic, kind, layout, n) for (kind, topic, layout), n in counts.items()]
         with self._stored.open() as file:
             summary = make_reader(file).get_summary()

@@ -213,6 +213,13 @@ def test_what_is_cut_short_is_read_in_part_or_refused_in_one_line(
         assert make in (dataflash_file, mcap_file) and len(recording.accelerometer) < 600
 
 
+def test_an_mcap_file_without_a_whole_message_is_said_to_break_off(tmp_path: Path) -> None:
+    path = mcap_file(tmp_path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(TraceError, match="it breaks off before its first whole message"):
+        read_all(path)
+
+
 @pytest.mark.parametrize("make", [*MAKERS, ros1_bag, ros2_file, mcap_file, dataflash_file])
 def test_a_first_byte_that_is_wrong_is_refused_in_one_line(
     tmp_path: Path, make: Callable[[Path], Path]
