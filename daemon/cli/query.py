@@ -30,7 +30,7 @@ TIMEOUT_S = 10.0
 STREAMS = ("Monitor", "Record", "Stream")
 """Methods that answer until they are interrupted."""
 
-SIGNS = {"?": "? may be left out", "[]": "[] is a list", "[][]": "[][] a list of lists"}
+SIGNS = {"?": "? may be left out", "[]": "[] is a list", "[][]": "[][] a list of rows [x, y, z]"}
 """What the signs of Varlink's types mean."""
 
 NO_METHOD = ("MethodNotFound", "InterfaceNotFound", "ProtocolViolation")

@@ -48,9 +48,10 @@ def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, ma
                 said = await query("GetHistory", wrong)
                 expected = f"{why}; expected: GetHistory(limit: ?int) (? may be left out)\n"
                 assert (said.returncode, expected in said.stderr) == (2, True), said.stderr
-            said = await query("Correct", "sensor=gyroscope")
-            assert "samples is missing; expected: Correct(sensor: (accelerometer, gyr" in said.stderr
-            assert "[][] a list of lists" in said.stderr
+            for wrong, why in (((), "is missing"), (("samples=[[1,2]]",), "has a wrong type or value")):
+                said = await query("Correct", "sensor=gyroscope", *wrong)
+                assert f"samples {why}; expected: Correct(sensor: (accelerometer, gyr" in said.stderr
+                assert "[][] a list of rows [x, y, z]" in said.stderr
 
     within_reason(test())
 
