@@ -42,6 +42,9 @@ _ONLY_RESTS_HAVE = {"duration", "sax", "say", "saz"}
 _TURNED = 1.0
 """m/s^2: by so much the means of two rests differ, at the median; samples of one recording differ by less."""
 
+_ROS2_WIDTH = 40
+"""Values of a sensor_msgs/Imu."""
+
 _G_UNTIL = 2.5
 """Median size of acceleration below which it is in g: Sensor Logger on iOS, its default."""
 
@@ -197,8 +200,9 @@ def _headerless(lines: list[str]) -> TextFormat:
     width = len(rows[0])
     if rows[0] == [str(place) for place in range(width)]:  # as pandas calls columns without names
         return TextFormat(UNKNOWN, msgspec.structs.replace(_counted(delimiter), skip_lines=1))
-    if _is_empatica(rows):
-        return TextFormat("empatica", load_map("empatica"))
+    for name, fits in (("empatica", _is_empatica), ("ros2_csv", _is_ros2)):
+        if fits(rows):
+            return TextFormat(name, load_map(name))
     usable = [[float(c) for c in row] for row in rows if len(row) == width and _numbers_in(row)]
     values = np.array(usable)
     blanks = delimiter == " " and len(usable) > 0
@@ -217,6 +221,12 @@ def _is_empatica(rows: list[list[str]]) -> bool:
         return False
     start, rate = ({float(cell) for cell in row} for row in rows[:2])
     return len(start) == 1 and start.pop() > 1e9 and rate == {32.0}
+
+
+def _is_ros2(rows: list[list[str]]) -> bool:
+    """Whether a row has the values of sensor_msgs/Imu, numbers but for the name of its frame."""
+    first, frame = rows[0][:2] + rows[0][3:], rows[0][2:3]
+    return len(rows[0]) == _ROS2_WIDTH and _numbers_in(first) and not _numbers_in(frame)
 
 
 def _counted(delimiter: str) -> ColumnMap:

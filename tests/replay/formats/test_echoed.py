@@ -62,6 +62,27 @@ def test_printed_messages_are_read(tmp_path: Path, message: Callable[[int], str]
     assert_read(read_all(packed))
 
 
+NONE = [0.0] * 9
+AXES = (("orientation", "xyzw"), ("angular_velocity", "xyz"), ("linear_acceleration", "xyz"))
+
+
+@pytest.mark.parametrize("tool", ["rostopic echo -p", "ros2 topic echo --csv"])
+def test_messages_printed_as_csv_are_read(tmp_path: Path, tool: str) -> None:
+    lines = []
+    if tool == "rostopic echo -p":
+        names = ["%time", "field.header.seq", "field.header.stamp", "field.header.frame_id"]
+        for quantity, axes in AXES:
+            names += [f"field.{quantity}.{axis}" for axis in axes]
+            names += [f"field.{quantity}_covariance{i}" for i in range(9)]
+        lines.append(",".join(names))
+    for i, (rate, force) in enumerate(zip(RATE.tolist(), FORCE.tolist(), strict=True)):
+        ns = int(NS[i])
+        stamp = [ns + 400, i, ns] if tool == "rostopic echo -p" else [ns // 10**9, ns % 10**9]
+        values = [*stamp, "imu_link", 0.0, 0.0, 0.0, 1.0, *NONE, *rate, *NONE, *force, *NONE]
+        lines.append(",".join(map(str, values)))
+    assert_read(read(tmp_path, "\n".join(lines) + "\n"))
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_messages_with_the_mark_of_an_encoding_are_read(tmp_path: Path, encoding: str) -> None:
     text = "".join(f"{ros2(i)}---\n" for i in range(len(T)))
