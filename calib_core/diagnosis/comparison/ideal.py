@@ -12,7 +12,7 @@ from dataclasses import replace
 from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, slow_checks
 from stillcal.calib_core.diagnosis.comparison.noise import density
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Relation, posterior
+from stillcal.calib_core.diagnosis.comparison.quantity import Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.records import (
     LEVEL,
     Common,
@@ -21,10 +21,13 @@ from stillcal.calib_core.diagnosis.comparison.records import (
     NotCompared,
 )
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
+from stillcal.calib_core.diagnosis.comparison.stated import is_sure, undecided_finding
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED, claimed, convention
+
+DOES_NOT = "the recording does not"
 
 
 def compare_with_ideal(exam: Examination, *, samples: bool = True) -> Comparison:
@@ -37,13 +40,13 @@ def compare_with_ideal(exam: Examination, *, samples: bool = True) -> Comparison
     every = checks_of(exam, found)
     checks = every if samples else slow_checks(exam, found)
     judged = [(f, e, posterior(e, max(len(every), 1))) for f, e in stated]
-    sure = [j for j in judged if j[2] >= CERTAIN and not j[0].evidence.contradicted]
+    sure = [j for j in judged if is_sure(j[0], j[2])]
     missing = [NotCompared(c.effect, c.sensor, c.reason) for c in checks if c.reason is not None]
     slow = [row for one in found for row in one.smallest]
     apart = Comparison(
         discrepancies=[_discrepancy(*one) for one in sorted(sure, key=lambda j: -j[1])],
         not_compared=missing,
-        undecided=[_undecided(*one) for one in judged if one not in sure],
+        undecided=[undecided_finding(f, odds, DOES_NOT) for f, _, odds in judged if not is_sure(f, odds)],
         comparisons=len(checks) - len(missing),
         evidence=[*((f.effect, e) for f, e in stated), *_not_stated(found, stated)],
         common=_common(exam, {f.effect for f, *_ in sure}) if samples else [],
@@ -68,7 +71,7 @@ def _with_what_differs(apart: Comparison, exam: Examination, found: Sequence[Sou
     say = f"Unknown effect ({nearest.sensor}); it follows {nearest.where.driver}."
     unnamed = replace(nearest, effect="unknown", alternatives=[], statement=say)
     told = {(n.effect, n.sensor) for n in apart.undecided}
-    unsure = [] if (nearest.effect, nearest.sensor) in told else [_undecided(nearest, nats, odds)]
+    unsure = [] if (nearest.effect, nearest.sensor) in told else [undecided_finding(nearest, odds, DOES_NOT)]
     return replace(
         apart, discrepancies=[_discrepancy(unnamed, nats, odds)], undecided=[*apart.undecided, *unsure]
     )
@@ -110,17 +113,6 @@ def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]
     """Return the evidence for what was looked for and not found, by effect."""
     names = {(f.effect, f.sensor) for f, _ in stated}
     return [(s.effect, s.log_bayes_factor) for s in found if s.smallest and (s.effect, s.sensor) not in names]
-
-
-def _undecided(finding: Finding, _evidence: float, probability: float) -> NotCompared:
-    odds = "above 0.99" if probability >= 0.995 else f"{probability:.2f}"
-    seen = f"the recording does not decide it: probability {odds}"
-    if finding.evidence.contradicted or probability >= CERTAIN:
-        seen = (
-            f"the fit suggests it (probability {odds}), but it does not predict the parts of the recording"
-            " that were left out of the fit"
-        )
-    return NotCompared(finding.effect, finding.sensor, seen)
 
 
 def _discrepancy(finding: Finding, evidence: float, probability: float) -> Discrepancy:

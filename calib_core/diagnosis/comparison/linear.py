@@ -137,11 +137,12 @@ def _fitted(
     free = replace(scene, views=tuple(_freed(v, scene.gravity) for v in scene.views))
     effects = [h for w in wanted if (h := proposed(scene, w)) is not None]
     hypotheses = [_constants(kind, scene), *effects]
-    whole = together(scene, hypotheses)
+    whole = together(scene, [*hypotheses, *_of_its_own(exam, kind)])
     fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
-    sizes = whole.sizes
-    value, covariance = fit.beta * sizes, fit.covariance * np.outer(sizes, sizes)
     parts = rows_of(hypotheses)
+    count = int(parts[-1][-1]) + 1
+    sizes = whole.sizes[:count]
+    value, covariance = fit.beta[:count] * sizes, fit.covariance[:count, :count] * np.outer(sizes, sizes)
     turned = _at_reference(scene, hypotheses, parts, reference_c)
     stated, covariance = turned @ value, turned @ covariance @ turned.T
     out = _constant_quantities(exam, kind, stated, covariance, reference_c)
@@ -151,6 +152,21 @@ def _fitted(
             effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
         out.append(effect)
     return out
+
+
+def _of_its_own(exam: Examination, kind: str) -> list[Hypothesis]:
+    """Return what a recording alone has, a step or something unknown: fitted beside, stated elsewhere.
+
+    Left out, it would be a part of the constants, which would then differ too.
+    """
+    return [
+        s.hypothesis
+        for s in exam.statements
+        if s.hypothesis is not None
+        and s.scene is not None
+        and kind_of(s.scene) == kind
+        and not transferable(s.hypothesis)
+    ]
 
 
 def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:

@@ -92,8 +92,8 @@ def differences_of_samples(
 ) -> tuple[list[Difference], list[Sole], list[NotCompared]]:
     """Compare the effects that samples show directly. reasons: of both, why an effect was not looked for.
 
-    Returned are differences of what both have; what one alone has, with its evidence (nats) and whether
-    it is the recording; what the other could not show, or was found by its driver.
+    Returned are differences of what both have; what one alone has, and whether it is the recording; what the
+    other could not show, or was found by its driver.
     """
     sides = (direct_statements(exams[0]), direct_statements(exams[1]))
     both: list[Difference] = []
@@ -114,16 +114,9 @@ def differences_of_samples(
             if reason is not None or hidden is not None:
                 why = hidden or f"{name}: {reason}"
                 unseen.append(NotCompared(finding.effect, finding.sensor, why))
-            elif (evidence := _evidence(finding)) > 0.0:
-                sole.append((finding, evidence, of_recording))
+            else:
+                sole.append((finding, of_recording))
     return both, sole, unseen
-
-
-def _evidence(finding: Finding) -> float:
-    """Return the evidence, nats, for a finding: no more than parts left out of the fit confirm."""
-    gain = finding.evidence.heldout_log_score_gain
-    whole = finding.evidence.log_bayes_factor
-    return whole if gain is None else min(gain, whole)
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

@@ -13,8 +13,8 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrep
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 
-Sole = tuple[Finding, float, bool]
-"""What one recording alone has, the evidence for it in nats, and whether it is the recording, not SIM."""
+Sole = tuple[Finding, bool]
+"""What one recording alone has, and whether it is the recording, not SIM."""
 
 
 def concluded(
@@ -33,10 +33,16 @@ def concluded(
     compared; names: of both. among: quantities of which one is expected to differ; checks: those that were
     possible; had: effects that one of the two was asked for.
     """
-    sole = [sole_discrepancy(one, among) for one in alone]
+    judged = [(one, posterior(one[0].evidence.log_bayes_factor, max(among, 1))) for one in alone]
+    sure = [(one, odds) for one, odds in judged if is_sure(one[0], odds)]
+    unsure = [
+        undecided_finding(finding, odds, f"{names[0] if of_recording else names[1]} does not")
+        for (finding, of_recording), odds in judged
+        if not is_sure(finding, odds)
+    ]
     found = [
         *(discrepancy(d) for d in compared if differs(d)),
-        *(d for d in sole if d.probability >= CERTAIN),
+        *(sole_discrepancy(*one) for one in sure),
     ]
     evidence = [(d.recorded.effect, d.log_bayes_factor) for d in compared]
     return Comparison(
@@ -44,16 +50,16 @@ def concluded(
         agreed=with_unequal([d for d in compared if d.agrees and worth_telling(d, had)]),
         compared=compared,
         not_compared=missing,
-        undecided=[undecided(d, names) for d in compared if not d.agrees and not differs(d)],
+        undecided=[*(undecided(d, names) for d in compared if not d.agrees and not differs(d)), *unsure],
         comparisons=checks,
-        evidence=[*evidence, *((finding.effect, nats) for finding, nats, _ in alone)],
+        evidence=[*evidence, *((f.effect, f.evidence.log_bayes_factor) for f, _ in alone)],
     )
 
 
 def told(compared: list[Difference], alone: list[Sole], missing: list[NotCompared]) -> set[Key]:
     """Return of which effects and sensors something is said already."""
     keys = {*map(key_of, compared), *((n.effect, n.sensor) for n in missing)}
-    return keys | {(finding.effect, finding.sensor) for finding, _, _ in alone}
+    return keys | {(finding.effect, finding.sensor) for finding, _ in alone}
 
 
 def differs(difference: Difference) -> bool:
@@ -115,18 +121,35 @@ def axes_of(difference: Difference) -> list[str]:
     return [AXES[a] for a in range(3) if by_axis[a] >= least]
 
 
-def sole_discrepancy(sole: Sole, count: int) -> Discrepancy:
-    """Return what one recording alone has. count: effects that are compared."""
-    finding, gain, of_recording = sole
+def sole_discrepancy(sole: Sole, probability: float) -> Discrepancy:
+    """Return what one recording alone has."""
+    finding, of_recording = sole
     return Discrepancy(
         finding.effect,
         finding.sensor,
         named(finding),
         finding.where,
         "lacking" if of_recording else "superfluous",
-        posterior(gain, max(count, 1)),
-        gain,
+        probability,
+        finding.evidence.log_bayes_factor,
         None,
         finding if of_recording else None,
         None if of_recording else finding,
     )
+
+
+def is_sure(finding: Finding, probability: float) -> bool:
+    """Whether an effect is beyond doubt, and predicts the parts that were left out of the fit."""
+    return probability >= CERTAIN and not finding.evidence.contradicted
+
+
+def undecided_finding(finding: Finding, probability: float, who: str) -> NotCompared:
+    """Return an effect that is not sure. who: the start of a sentence, "NAME does not"."""
+    odds = "above 0.99" if probability >= 0.995 else f"{probability:.2f}"
+    seen = f"{who} decide it: probability {odds}"
+    if finding.evidence.contradicted or probability >= CERTAIN:
+        seen = (
+            f"the fit suggests it (probability {odds}), but it does not predict the parts of the recording"
+            " that were left out of the fit"
+        )
+    return NotCompared(finding.effect, finding.sensor, seen)

@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.errors import NotSupported, UserError
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.given_simulation import judge_examined, judge_simulation
 from stillcal.replay.diagnosis.judged import Judged, examined
@@ -123,6 +124,18 @@ def test_a_bias_that_differs_for_another_reason_is_stated_at_the_recordings_mean
         assert one["reference"]["temperature_c"] == pytest.approx(bins.temperature.mean())
     mean = found["accel_bias_temperature"]["reference"]["mean_temperature_c"]
     assert mean == pytest.approx(bins.temperature.mean())
+
+
+@pytest.mark.slow
+def test_a_step_that_the_recording_alone_has_makes_no_bias_besides() -> None:
+    """The levels before and after it were averaged, and the mean was another bias than the simulation has."""
+    still = real(0.0).accelerometer
+    assert still is not None
+    force = np.array(still.xyz)
+    force[still.t > 500.0, 2] += 334 * STANDARD / 8192.0  # 0.4 m/s^2, in whole steps of the values
+    stepped = replace(real(0.0), accelerometer=replace(still, xyz=frozen(force)))
+    finding = only(answer(stepped, simulated(0.0)))
+    assert (finding["effect"], finding["relation"]) == ("accel_bias_step", "lacking")
 
 
 @pytest.mark.slow

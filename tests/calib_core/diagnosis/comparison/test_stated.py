@@ -1,0 +1,41 @@
+"""What one recording alone has is stated by its own evidence, unless left-out parts speak against it."""
+
+from __future__ import annotations
+
+import pytest
+
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.stated import concluded
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
+
+NAMES = ("real.csv", "sim.csv")
+
+
+def judged(nats: float, gain: float, *, of_recording: bool = True) -> Comparison:
+    """Return the conclusion of two recordings of which one alone has something unknown."""
+    evidence = Evidence(nats, heldout_log_score_gain=gain, folds=5)
+    where = Where(0.0, 1200.0, (0.0, 0.05), "rate of heating")
+    alone = Finding("unknown", "accel", ["z"], where, {}, evidence, [], "Unknown effect.")
+    return concluded([], [(alone, of_recording)], [], NAMES, among=4, checks=10)
+
+
+@pytest.mark.parametrize(("of_recording", "relation"), [(True, "lacking"), (False, "superfluous")])
+def test_a_small_gain_in_what_was_left_out_does_not_hide_what_is_sure(
+    of_recording: bool, relation: str
+) -> None:
+    (found,) = judged(15.5, 0.6, of_recording=of_recording).discrepancies
+    assert (found.effect, found.relation, found.log_bayes_factor) == ("unknown", relation, 15.5)
+    assert found.probability > 0.999
+
+
+def test_what_left_out_parts_contradict_is_undecided_and_says_why() -> None:
+    said = judged(15.5, -0.6)
+    assert said.discrepancies == []
+    (undecided,) = said.undecided
+    assert "does not predict the parts of the recording" in undecided.reason
+
+
+@pytest.mark.parametrize(("of_recording", "who"), [(True, "real.csv"), (False, "sim.csv")])
+def test_what_is_not_sure_is_undecided_with_its_probability(of_recording: bool, who: str) -> None:
+    (undecided,) = judged(2.0, 2.0, of_recording=of_recording).undecided
+    assert undecided.reason.startswith(f"{who} does not decide it: probability 0.")
