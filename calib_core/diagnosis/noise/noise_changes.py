@@ -90,8 +90,9 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     """Find noise of single axes that follows the force along them, as of a reference that makes it by ratio.
 
     The level of a rest is the mean of its pieces, a parabola of the force against a constant; what shakes the
-    phone differs from rest to rest, and makes the variance that F's law holds the parabola against. A place
-    where it always lies alike shakes it by more, so pieces must scatter about the parabola as noise does.
+    phone differs from rest to rest, and makes the variance that F's law holds the parabola against. A rest of
+    few pieces counts for less. A place where it always lies alike shakes it by more, so pieces must scatter
+    about the parabola as noise does.
     """
     own = _bins_of(spectrum, bins)
     rests, which = np.unique(bins.rest[own], return_inverse=True)
@@ -100,8 +101,9 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     count = np.bincount(which)[:, None]
     pieces, along = np.log(measured.pieces), bins.force[own] / STANDARD
     level, force = _summed(which, pieces) / count, _summed(which, along) / count
-    fits = [_of_axis(level[:, a], force[:, a]) for a in range(3)]
-    by_chance = EVEN * float(np.sqrt(3.0)) * _chance(spectrum, np.ones(own.size, dtype=np.bool_)) + 0.03
+    of_piece = float(np.sqrt(3.0)) * _chance(spectrum, np.ones(own.size, dtype=np.bool_))
+    by_chance = EVEN * of_piece + 0.03
+    fits = [parabola_of_force(level[:, a], force[:, a], of_piece**2 / count[:, 0]) for a in range(3)]
     clear = [
         a
         for a in range(3)
@@ -141,7 +143,7 @@ def _parabola(force: Array) -> Array:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _ByForce:
+class ByForce:
     """A parabola of the force, curve (3,), by which levels change by so much; nats for it."""
 
     nats: float
@@ -150,18 +152,23 @@ class _ByForce:
     curve: Array
 
 
-def _of_axis(level: Array, force: Array) -> _ByForce:
-    """Return the parabola of levels (n,) over a force (n,), and how it foretells rests left out."""
+def parabola_of_force(level: Array, force: Array, by_chance: Array) -> ByForce:
+    """Return the parabola of levels (n,) over a force (n,), and how it foretells rests left out.
+
+    by_chance: the variance (n,) that the level of each rest has by chance alone.
+    """
     from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
 
-    design = _parabola(force)
-    curve = _least_squares(design, level)
-    fitted = design @ curve
-    without, within = float(((level - level.mean()) ** 2).sum()), float(((level - fitted) ** 2).sum())
-    free = level.size - 3
+    design, free = _parabola(force), level.size - 3
+    left = level - design @ _least_squares(design, level)
+    between = max(float((left**2).sum()) / free - float(by_chance.mean()), 0.0)
+    weight = 1.0 / np.sqrt(between + by_chance)
+    curve = _least_squares(design * weight[:, None], level * weight)
+    fitted, mean = design @ curve, np.average(level, weights=weight**2)
+    without, within = (float((((level - said) * weight) ** 2).sum()) for said in (mean, fitted))
     chance = float(f.logsf(0.5 * (without - within) * free / max(within, 1e-300), 2, free))
     held_out = _left_out(level, Course("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
-    return _ByForce(of_chance(chance), float(np.ptp(fitted)), held_out, curve)
+    return ByForce(of_chance(chance), float(np.ptp(fitted)), held_out, curve)
 
 
 def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[Course]:
