@@ -26,6 +26,9 @@ STRENGTHS = 10.0 ** np.arange(-1.0, 9.0)
 """Excess variances that are tried, as parts of the bins' median white variance, all equally likely: from what
 no bins show up to what a sensor at the end of its range makes of a quiet one's mean."""
 
+NEGLIGIBLE = 40.0
+"""Nats below the likeliest strength from where on larger ones are not tried: e^-40 is less than rounding."""
+
 FINER = 10.0 ** np.array([-0.75, -0.5, -0.25, 0.25, 0.5, 0.75])
 """Steps about the best of these: an excess is then known to a seventh, which is less than its own error."""
 
@@ -61,7 +64,9 @@ class Motion:
 
 
 def with_excess(scene: Scene, variance: Array) -> Scene:
-    """Return a scene whose bins in motion have variance (3,) besides, axis by axis."""
+    """Return a scene whose bins in motion have variance (3,) besides, axis by axis; the same one for none."""
+    if not variance.any():
+        return scene
     views = [replace(v, excess=float(x)) for v, x in zip(scene.views, variance, strict=True)]
     return replace(scene, views=tuple(views))
 
@@ -76,7 +81,7 @@ def left_in_motion(scene: Scene, found: Sequence[Hypothesis] = ()) -> Motion | N
         return None
     unit = np.array([float(np.median(v.variance)) for v in scene.views])
     none = _log_likelihood(scene, np.zeros(3), found)
-    coarse = np.array([_log_likelihood(scene, s * unit, found) for s in STRENGTHS])
+    coarse = _coarse(scene, unit, found)
     evidence = np.array([log_sum(axis) for axis in coarse.T]) - np.log(STRENGTHS.size) - none
     about = STRENGTHS[coarse.argmax(axis=0)]
     if not (evidence > 0.0).any():
@@ -85,6 +90,19 @@ def left_in_motion(scene: Scene, found: Sequence[Hypothesis] = ()) -> Motion | N
     fine = np.array([coarse.max(axis=0), *(_log_likelihood(scene, s * unit, found) for s in tried[1:])])
     best = tried[fine.argmax(axis=0), np.arange(3)] * unit
     return Motion(np.where(evidence > 0.0, best, 0.0), evidence)
+
+
+def _coarse(scene: Scene, unit: Array, found: Sequence[Hypothesis]) -> Array:
+    """Return the log likelihood (k, 3) of each axis at the strengths, as far as they are not hopeless.
+
+    Beyond the likeliest strength the likelihood only falls: the bins that move count for less and less.
+    """
+    tried: list[Array] = []
+    for strength in STRENGTHS:
+        tried.append(_log_likelihood(scene, strength * unit, found))
+        if (tried[-1] < np.max(tried, axis=0) - NEGLIGIBLE).all():
+            break
+    return np.array(tried)
 
 
 def _log_likelihood(scene: Scene, variance: Array, found: Sequence[Hypothesis]) -> Array:
