@@ -13,6 +13,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.calibration.acceptance import decide, with_decision
 from stillcal.calib_core.calibration.bias_curve import Learnt, learn_gyroscope
@@ -307,7 +309,7 @@ class CalibrationPolicy:
         """Before the first full calibration, publish the gyroscope's bias, or confirm the one published.
 
         The first one is provisional: a gyroscope's bias moves while the phone warms up after its start.
-        gyroscope_alone.py has the rules. Does nothing where there is a full calibration.
+        gyroscope_alone.py has the rules. Both are logged. Does nothing where there is a full calibration.
         """
         state = self._state
         if not any(held.rest.rate is not None for held in state.pool.held):
@@ -319,10 +321,12 @@ class CalibrationPolicy:
             alone = followed_up(state.record, self._rests_since(None), t, self._settings.quality)
         else:
             return
-        learnt = None if alone is None else self._learn(alone, t)
-        if alone is not None and learnt is not None:
-            alone = with_learnt_forecast(alone, learnt)
-        self._publish_bias(alone, t)
+        if alone is None or alone.gyroscope is None:
+            return
+        learnt = self._learn(alone, t)
+        self._publish_bias(alone if learnt is None else with_learnt_forecast(alone, learnt), t)
+        figures = {"largest": float(np.abs(alone.gyroscope.bias).max())}
+        self._actions.append(Log(t, Level.INFO, "gyroscope", alone.acceptance.reason, figures))
 
     def _check_gyroscope_alone(self, t: float, recent: Pool) -> None:
         """Carry out a check of a calibration that has no accelerometer part yet."""

@@ -6,9 +6,10 @@ import itertools
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.engine.actions import Publish
+from stillcal.calib_core.engine.actions import Action, Log, Publish
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.streams.events import Charging, End
@@ -32,11 +33,15 @@ def on_a_desk(seconds: float, moved_at: float = np.inf) -> tuple[Samples, Sample
     )
 
 
-def published(*streams: Samples, end: float) -> list[Publish]:
+def actions_of(*streams: Samples, end: float) -> list[Action]:
     engine = Engine(EngineSettings(schedule=ScheduleSettings(check_interval_s=HOURLY, watch="continuous")))
     actions = engine.feed(*streams, Charging(0.0, False), End(end))
     assert not engine.state.calibrated
-    return [a for a in actions if isinstance(a, Publish)]
+    return actions
+
+
+def published(*streams: Samples, end: float) -> list[Publish]:
+    return [a for a in actions_of(*streams, end=end) if isinstance(a, Publish)]
 
 
 def error(action: Publish, bias: Array) -> float:
@@ -59,6 +64,13 @@ def test_a_bias_that_has_moved_since_the_start_is_measured_anew_and_stays_provis
     assert second.record.provisional and "moved" in second.reason
     assert not third.record.provisional
     assert error(third, BIAS + MOVED) < 1e-4
+
+
+def test_the_log_tells_of_the_first_bias_and_when_it_is_confirmed_and_not_of_every_hour() -> None:
+    actions = actions_of(*on_a_desk(3000.0), end=3000.0)
+    first, confirmed = (a for a in actions if isinstance(a, Log) and a.what == "gyroscope")
+    assert "provisional" in first.why and "confirmed" in confirmed.why
+    assert first.fields["largest"] == pytest.approx(0.02, abs=1e-4)
 
 
 def test_a_short_recording_leaves_its_bias_and_one_without_gyroscope_nothing() -> None:
