@@ -200,7 +200,14 @@ def _apart(one: Mapping[str, float], other: Mapping[str, float]) -> float:
 
 
 def _freed(view: View, gravity: float) -> View:
-    """Return a view whose constants are no longer projected out, since they are fitted."""
+    """Return a view whose constants are no longer projected out, since they are fitted; it is made once."""
+    if "freed" not in view.memo:
+        view.memo["freed"] = _constants_free(view, gravity)
+    made: View = view.memo["freed"]
+    return made
+
+
+def _constants_free(view: View, gravity: float) -> View:
     if view.name == "norm":
         local = np.full((view.t.size, 1), LOCAL_GRAVITY * gravity)
         return replace(view, baseline=view.baseline[:, :, :0], absorbed=local)

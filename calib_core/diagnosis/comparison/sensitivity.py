@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Reduced,
     fit_hypothesis,
-    joint,
+    joint_log_likelihood,
     log_terms,
     null_log_likelihood,
     residuals,
@@ -172,11 +172,13 @@ def _found_half_the_time(
     about the right size, to look at first.
     """
     unit = np.eye(beta.size)[row]
-    without = joint(reduced, [log_terms(v, residuals(v, index, beta)) for v in reduced])[0]
+    without = joint_log_likelihood(reduced, [log_terms(v, residuals(v, index, beta)) for v in reduced])
 
     def gain(size: float) -> float:
         with_it = [
-            joint(reduced, [log_terms(v, residuals(v, index, beta - s * size * unit)) for v in reduced])[0]
+            joint_log_likelihood(
+                reduced, [log_terms(v, residuals(v, index, beta - s * size * unit)) for v in reduced]
+            )
             for s in (1.0, -1.0)
         ]
         return without - 0.5 * size**2 - float(np.mean(with_it))

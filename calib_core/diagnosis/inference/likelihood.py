@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.inference.noise_models import STRENGTHS, families
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.residuals import View
 
@@ -46,8 +46,7 @@ class Reduced:
     prior: (G,) log; constant: (G,) prior and determinants; yy: (G,); pulls: one (G, k) a hypothesis, of its
     columns with the data; blocks: one (G, k, k) a hypothesis, of its columns with each other; dof:
     nu0 + n - p; power: (G,) variance of the wander; walk: (G,) variance rate, 1/s, of random walks; jump:
-    (G,) variance of what is another in every rest; near: (G, G) how an axis' shape scatters about the one
-    that the axes share; known: nu0.
+    (G,) variance of what is another in every rest; known: nu0.
 
     shared: how many parameters at the end of every hypothesis are not the effect's: what all views of a
     sensor share whatever else there is. Hypothesis `NOTHING` has these alone. settled: (c,) their
@@ -64,7 +63,6 @@ class Reduced:
     power: Array
     walk: Array
     jump: Array
-    near: Array
     known: float
     shared: int
     settled: Array
@@ -149,7 +147,6 @@ def reduce_view(
         np.concatenate([f.power for f in made]),
         np.concatenate([f.walk for f in made]),
         np.concatenate([f.jump for f in made]),
-        _nearness(names),
         view.known,
         last.size,
         np.zeros(last.size),
@@ -166,11 +163,10 @@ def with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
 
 
 @cache
-def _nearness(names: tuple[str, ...]) -> Array:
-    """Return the probability (G, G) of shape j given the shared shape i: one family, nearly one strength."""
-    kind = np.array(names)
-    apart = np.abs(np.subtract.outer(np.arange(len(names)), np.arange(len(names))))
-    weight = np.append(NEARLY, 0.0)[np.minimum(apart, len(NEARLY))] * (kind[:, None] == kind[None, :])
+def _nearness() -> Array:
+    """Return the probability (S, S) of strength j given the shared strength i: nearly the same."""
+    apart = np.abs(np.subtract.outer(np.arange(STRENGTHS.size), np.arange(STRENGTHS.size)))
+    weight = np.append(NEARLY, 0.0)[np.minimum(apart, len(NEARLY))]
     return np.asarray(weight / weight.sum(axis=1, keepdims=True))
 
 
@@ -316,21 +312,64 @@ def joint(views: Sequence[Reduced], terms: list[Array]) -> tuple[float, list[Arr
     about one strength, else each has its own. Views that do not have the same shapes are independent.
     """
     own = [log_sum(t) for t in terms]
-    apart, weights = float(sum(own)), [np.exp(t - s) for t, s in zip(terms, own, strict=True)]
-    if len(views) < 2 or any(v.family != views[0].family for v in views):
-        return apart, weights
-    tops = [float(t.max()) for t in terms]
-    bare = [
-        np.exp(np.maximum(t - v.prior - top, -600.0)) for t, v, top in zip(terms, views, tops, strict=True)
-    ]
-    blurred = [v.near @ p for v, p in zip(views, bare, strict=True)]
-    shared = views[0].prior + sum(np.log(p) for p in blurred)
-    together = log_sum(np.asarray(shared)) + sum(tops)
-    value = float(np.logaddexp(together + np.log(ALIKE), apart + np.log(1.0 - ALIKE)))
-    alike = float(np.exp(together + np.log(ALIKE) - value))
-    common = np.exp(shared + sum(tops) - together)
-    near = [p * (v.near.T @ (common / b)) for v, p, b in zip(views, bare, blurred, strict=True)]
-    return value, [alike * n + (1.0 - alike) * w for n, w in zip(near, weights, strict=True)]
+    weights = [np.exp(t - s) for t, s in zip(terms, own, strict=True)]
+    axes = _Axes.of(views, terms)
+    if axes is None:
+        return float(sum(own)), weights
+    value = axes.log_likelihood(float(sum(own)))
+    alike = float(np.exp(axes.together + np.log(ALIKE) - value))
+    return value, [alike * n + (1.0 - alike) * w for n, w in zip(axes.weights(), weights, strict=True)]
+
+
+def joint_log_likelihood(views: Sequence[Reduced], terms: list[Array]) -> float:
+    """Return the log likelihood of all views alone, as `joint` does."""
+    apart = float(sum(log_sum(t) for t in terms))
+    axes = _Axes.of(views, terms)
+    return apart if axes is None else axes.log_likelihood(apart)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Axes:
+    """Views that share a kind of wander and nearly its strength.
+
+    bare: (views, G) likelihoods, the largest of a view being about 1; near: (views, G) what they are about a
+    shared shape; shared: (G,) log probabilities of that shape, but for their sum, which `together` has with
+    the logarithms of what the views were divided by.
+    """
+
+    bare: Array
+    near: Array
+    shared: Array
+    together: float
+
+    @classmethod
+    def of(cls, views: Sequence[Reduced], terms: list[Array]) -> _Axes | None:
+        """Return views that have the same shapes; None where they do not."""
+        if len(views) < 2 or any(v.family != views[0].family for v in views):
+            return None
+        prior, every = views[0].prior, np.array(terms)
+        tops = every.max(axis=1, keepdims=True)
+        bare = np.exp(np.maximum(every - prior - tops, -600.0))
+        near = _blurred(bare, _nearness())
+        shared = prior + np.log(near).sum(axis=0)
+        total = log_sum(shared)
+        return cls(bare, near, shared - total, total + float(tops.sum()))
+
+    def log_likelihood(self, apart: float) -> float:
+        """Return the log likelihood; apart: that of views which share nothing."""
+        return float(np.logaddexp(self.together + np.log(ALIKE), apart + np.log(1.0 - ALIKE)))
+
+    def weights(self) -> Array:
+        """Return each view's shape probabilities (views, G)."""
+        return np.asarray(self.bare * _blurred(np.exp(self.shared) / self.near, _nearness().T))
+
+
+def _blurred(values: Array, nearness: Array) -> Array:
+    """Return what lies about every shape of values (views, G): white noise is near itself alone."""
+    out = values.copy()
+    by_kind = values[:, 1:].reshape(-1, len(nearness))
+    out[:, 1:] = (by_kind @ nearness.T).reshape(len(values), -1)
+    return out
 
 
 def log_terms(view: Reduced, residual: Array) -> Array:
@@ -356,7 +395,7 @@ def gain_bound(views: Sequence[Reduced], h: int) -> float:
     It is an upper bound but for what all views share, which is held where it is with no effect: free for
     every view and shape, it would explain what no one vector can.
     """
-    return joint(views, [log_terms(v, _least(v, h)) for v in views])[0]
+    return joint_log_likelihood(views, [log_terms(v, _least(v, h)) for v in views])
 
 
 def _least(view: Reduced, h: int) -> Array:
@@ -374,7 +413,7 @@ def _least(view: Reduced, h: int) -> Array:
 
 
 def _explained(gram: Array, pull: Array) -> Array:
-    """Return the sum of squares (G,) that columns explain, from their products (G, k, k) and the data's (G, k).
+    """Return the sum of squares (G,) that columns explain. gram: (G, k, k); pull: (G, k), with the data.
 
     Columns are eliminated one by one, under all shapes at once: a solver takes the shapes one by one.
     """
