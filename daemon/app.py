@@ -349,6 +349,12 @@ class Service:
             await self.engine_thread.zero(), "there is no calibration yet, or no recent rest"
         )
 
+    async def lay_faces(self, stop: bool) -> None:
+        """Have the phone laid on its six faces, with its sensors on meanwhile; or stop that."""
+        thread = self.engine_thread
+        self.act((await (thread.stop_faces() if stop else thread.lay_faces())).actions)
+        self.session.send_commands()
+
     def _outcome(self, reply: EngineReply, otherwise: str) -> CalibrationRecord:
         """Carry out a reply and return its calibration. Raises ValueError where it has none."""
         self.act(reply.actions)

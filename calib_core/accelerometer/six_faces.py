@@ -20,6 +20,8 @@ from stillcal.calib_core.accelerometer.known_attitudes import (
     missing_faces,
     six_faces,
 )
+from stillcal.calib_core.accelerometer.observability import describe
+from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.rms import rms
@@ -82,7 +84,8 @@ def fit_six_faces(
 
     forces, uncertainties: (n, 3) raw means and their standard uncertainties, m/s^2. gravity: (n,) m/s^2.
     weights: (n,) number of samples. Of several attitudes near one face the one with most samples is taken.
-    Raises NotSupported where a face is missing, naming it, or where the faces are too far from square.
+    Raises NotSupported where a face is missing, naming it, or where the faces are too far from square, naming
+    those farthest off: a tilted face cannot be told from the one opposite.
     """
     means = _face_means(forces, weights, settings)
     start = six_faces(means, float(gravity.mean())).model
@@ -104,9 +107,10 @@ def fit_six_faces(
         free = tilts.size - float(leverage[norms.size :].sum())
         tilt = max(float(np.sqrt(tilts @ tilts / free)), _FINEST_TILT)
     if tilt > settings.max_tilt:
+        off = np.hypot(*_tilts(theta, means)[1].reshape(6, 2).T)
         raise NotSupported(
-            f"the faces are {np.degrees(tilt):.1f} degrees (rms) from square and level",
-            ["the six faces again, each flat on a level surface"],
+            f"the faces are {np.degrees(tilt):.1f} degrees (rms) from square and level: lay them again, flat",
+            [describe(FACE_DIRECTIONS[k]) for k in np.flatnonzero(off >= off.max() / 2)],
         )
     widened = (quantile(free, 0.975) / _NORMAL_975) ** 2
     model = SensorModel.of(theta[3:].reshape(3, 3), theta[:3])
@@ -141,10 +145,25 @@ def rotation_covariance(scale: Array, covariance: Array) -> Array:
     return np.asarray(rows @ covariance[3:, 3:] @ rows.T)
 
 
+def without_rotation(scale: Array) -> Array:
+    """Return the projection (9, 9) of a change of a scale (3, 3), row by row, onto what rests show of it.
+
+    That is all but its part along rotations common to all axes.
+    """
+    stretches = np.kron(common_rotation(scale), np.eye(3)) @ basis(9)[3:, 3:]
+    parts = np.linalg.inv(np.hstack((stretches, _turns(scale))))
+    return np.asarray(stretches @ parts[:6])
+
+
 def rotated_scale_covariance(scale: Array, rotation: Array) -> Array:
     """Return the covariance (9, 9) that an uncertain rotation, (3, 3) rad^2, puts into a scale (3, 3)."""
-    by_axis = np.stack([np.cross(axis, scale.T).T.ravel() for axis in np.eye(3)], axis=1)
-    return np.asarray(by_axis @ rotation @ by_axis.T)
+    turns = _turns(scale)
+    return np.asarray(turns @ rotation @ turns.T)
+
+
+def _turns(scale: Array) -> Array:
+    """Return by how much a scale (3, 3), row by row, changes with a rotation about each axis, (9, 3)."""
+    return np.stack([np.cross(axis, scale.T).T.ravel() for axis in np.eye(3)], axis=1)
 
 
 def _scatter(forces: Array, uncertainties: Array, gravity: Array, settings: SixFacesSettings) -> float:

@@ -10,13 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.parameters import ALL, basis, names
+from stillcal.calib_core.accelerometer.parameters import ALL, Form, basis, names
 from stillcal.calib_core.accelerometer.six_faces import (
     SixFaces,
     common_rotation,
     fit_six_faces,
     rotated_scale_covariance,
     rotation_covariance,
+    without_rotation,
 )
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.candidate import (
@@ -69,33 +70,45 @@ def calibrate_faces(pool: Pool, gravity: Gravity, t: float, settings: CalibrateS
 
 
 def inherit_rotation(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:
-    """Return a new calibration turned by the common rotation of the old one, where that has one."""
-    known = None if old is None else old.accelerometer
+    """Return a new calibration turned by the common rotation of the old one, where only that has one."""
     part = new.accelerometer
-    if known is None or part is None or known.parameters != ALL or part.parameters == ALL:
-        return new
+    return new if old is None or part is None or part.parameters == ALL else turned_as(old, new)
+
+
+def turned_as(faces: CalibrationRecord, record: CalibrationRecord) -> CalibrationRecord:
+    """Return a calibration with the rotation common to all axes of another one, where that has one.
+
+    What rests show of its bias and scale stays.
+    """
+    known, part = faces.accelerometer, record.accelerometer
+    if known is None or part is None or known.parameters != ALL:
+        return record
     if known.covariance is None or known.names != names(ALL):
-        return new
-    rotation = common_rotation(known.scale)
+        return record
+    rotation = common_rotation(known.scale) @ common_rotation(part.scale).T
     scale = rotation @ part.scale
-    turned = np.zeros((ALL, ALL))
-    if part.covariance is not None:
-        form = "symmetric" if part.names == names(part.parameters) else "triangular"
-        spread = basis(part.parameters, form)
-        turned = spread @ part.covariance @ spread.T
-    by_scale = np.eye(ALL)
-    by_scale[3:, 3:] = np.kron(rotation, np.eye(3))
-    turned = by_scale @ turned @ by_scale.T
-    turned[3:, 3:] += rotated_scale_covariance(scale, rotation_covariance(known.scale, known.covariance))
+    by_rests = np.eye(ALL)
+    by_rests[3:, 3:] = np.kron(rotation, np.eye(3)) @ without_rotation(part.scale)
+    covariance = by_rests @ _of_all_parameters(part) @ by_rests.T
+    covariance[3:, 3:] += rotated_scale_covariance(scale, rotation_covariance(known.scale, known.covariance))
     accelerometer = replace(
         part,
         scale=scale,
         parameters=ALL,
         names=names(ALL),
-        covariance=frozen(turned),
+        covariance=frozen(covariance),
         observability=None,
     )
-    return replace(new, accelerometer=accelerometer, gyroscope=_turned(new.gyroscope, rotation))
+    return replace(record, accelerometer=accelerometer, gyroscope=_turned(record.gyroscope, rotation))
+
+
+def _of_all_parameters(part: AccelerometerRecord) -> Array:
+    """Return a calibration's covariance of bias and scale row by row, (12, 12); of nothing where unknown."""
+    if part.covariance is None:
+        return np.zeros((ALL, ALL))
+    form: Form = "symmetric" if part.names == names(part.parameters) else "triangular"
+    spread = basis(part.parameters, form)
+    return np.asarray(spread @ part.covariance @ spread.T)
 
 
 def _turned(part: GyroscopeRecord | None, rotation: Array) -> GyroscopeRecord | None:

@@ -39,7 +39,7 @@ from stillcal.calib_core.calibration.following import (
     with_learnt_gyroscope,
 )
 from stillcal.calib_core.calibration.gyroscope_alone import first_bias, followed_up
-from stillcal.calib_core.calibration.known_faces import inherit_rotation
+from stillcal.calib_core.calibration.known_faces import calibrate_faces, inherit_rotation, turned_as
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.suspicion import Suspicion
@@ -61,6 +61,9 @@ from stillcal.calib_core.streams.samples import Sensor
 
 LEAST_UNSEEN_S = 300.0
 """A recording that ends so long after its last rest, s, may have become another phone's."""
+
+RESTS_SHOW = 9
+"""Parameters of an accelerometer that rests in unknown attitudes can show."""
 
 STEP_LIMIT = 0.05
 """m/s^2 (5 mg): a bias that steps by more is another sensor's from then on. Temperature and time change a
@@ -209,6 +212,12 @@ def _candidate_or_refusal(pool: Pool, task: FitTask) -> Candidate | NotSupported
 def _rank(fit: AccelerometerFit) -> tuple[bool, int, float]:
     """Order fits: those without a prior, more parameters, less uncertain along the worst direction first."""
     return fit.with_prior, -fit.parameters, fit.worst_norm_uncertainty
+
+
+def _is_whole(record: CalibrationRecord | None) -> bool:
+    """Tell whether rests alone have shown bias, scale and cross-axis terms of the accelerometer."""
+    part = None if record is None else record.accelerometer
+    return part is not None and not part.with_prior and part.parameters >= RESTS_SHOW
 
 
 def _without(suspected: dict[Sensor, Suspicion], sensor: Sensor) -> dict[Sensor, Suspicion]:
@@ -390,10 +399,7 @@ class CalibrationPolicy:
         if uncertainty is not None and uncertainty.max() < limit:
             state.degraded = False
         state.checked = t
-        state.counters.calibrations += 1
-        reason = state.record.acceptance.reason
-        self._actions.append(Publish(t, state.record, reason))
-        self._actions.append(Log(t, Level.INFO, "calibrated", reason, {"occasion": "check"}))
+        self._publish(t, "check")
 
     def _followed(self, t: float, fresh: bool) -> bool:
         """Learn the accelerometer's calibration at t (s); tell whether the one in use was replaced.
@@ -454,7 +460,40 @@ class CalibrationPolicy:
         state.fresh, state.tried = 0, t
         if state.trouble is not None:
             state.trouble = replace(state.trouble, tried=True)
-        task = FitTask(
+        self._apply(t, fit_and_decide(self._task(t, occasion)), occasion)
+
+    def calibrate_by_faces(self, t: float, laid: Pool) -> str:
+        """Calibrate at t (s) from rests among which are the six faces; return the reason to be told.
+
+        Faces show the rotation common to all axes. Bias, scale and cross-axis terms stay as rests have shown
+        them, where rests alone have or do so now. Raises NotSupported where faces are too far from square and
+        level.
+        """
+        state = self._state
+        faces = calibrate_faces(laid, state.gravity, t, self._settings.calibrate)
+        if state.degraded or not _is_whole(state.record):
+            outcome = fit_and_decide(self._task(t, Occasion.ASKED))
+            if outcome.accepted and _is_whole(outcome.record):
+                self._apply(t, outcome, Occasion.ASKED)
+        if _is_whole(state.record) and not state.degraded:
+            self._turn(t, faces)
+        else:
+            known = None if state.record is None else turned_as(faces, state.record)
+            self._adopt(t, inherit_scale(known, faces), Occasion.ASKED)
+        return faces.acceptance.reason
+
+    def _turn(self, t: float, faces: CalibrationRecord) -> None:
+        """Turn the calibration in use at t (s) as known faces show it."""
+        state = self._state
+        assert state.record is not None
+        state.record = replace(turned_as(faces, state.record), acceptance=faces.acceptance)
+        state.centre = None if state.centre is None else turned_as(faces, state.centre)
+        self._publish(t, Occasion.ASKED)
+
+    def _task(self, t: float, occasion: Occasion) -> FitTask:
+        """Return a full calibration to be tried at t (s)."""
+        state = self._state
+        return FitTask(
             t=t,
             occasion=occasion,
             pool=state.pool,
@@ -466,7 +505,6 @@ class CalibrationPolicy:
             settings=self._settings.calibrate,
             quality=self._settings.quality,
         )
-        self._apply(t, fit_and_decide(task), occasion)
 
     def _degrade(self, t: float, since: float | None, size: float) -> None:
         """Mark the calibration as degraded; `since` (s) is from when on it may have been wrong.
@@ -507,18 +545,28 @@ class CalibrationPolicy:
         if outcome.other_phone:
             state.trials = ()
             state.memory = state.memory.where(state.memory.t >= (outcome.since or state.sound_until or t))
-        state.record, state.checked, state.degraded, state.refusal = outcome.record, t, False, None
-        state.centre, state.suspected = None, {}
-        state.counters.calibrations += 1
-        state.record = (
-            outcome.record if outcome.record.gyroscope is None else self._refined(outcome.record, t)
-        )
-        self._followed(t, fresh=True)
-        reason = state.record.acceptance.reason
-        self._actions.append(Publish(t, state.record, reason))
-        self._actions.append(Log(t, Level.INFO, "calibrated", reason, fields))
+        self._adopt(t, outcome.record, occasion)
         if outcome.late is not None:
             self._degrade(t, outcome.late.since, outcome.late.largest)
+
+    def _adopt(self, t: float, record: CalibrationRecord, occasion: Occasion) -> None:
+        """Use a calibration fitted at t (s) from now on, refined by what was learnt from all rests kept."""
+        state = self._state
+        state.record, state.checked, state.degraded, state.refusal = record, t, False, None
+        state.centre, state.suspected = None, {}
+        if record.gyroscope is not None:
+            state.record = self._refined(record, t)
+        self._followed(t, fresh=True)
+        self._publish(t, occasion)
+
+    def _publish(self, t: float, occasion: str) -> None:
+        """Publish a new calibration, the one in use at t (s), and log it."""
+        state = self._state
+        assert state.record is not None
+        state.counters.calibrations += 1
+        reason = state.record.acceptance.reason
+        self._actions.append(Publish(t, state.record, reason))
+        self._actions.append(Log(t, Level.INFO, "calibrated", reason, {"occasion": str(occasion)}))
 
     def _report_refusal(self, t: float, outcome: FitOutcome, occasion: Occasion) -> None:
         """Report why there is no fit; one that asks for the same rests again goes to the debug log."""

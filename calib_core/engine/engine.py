@@ -25,6 +25,7 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.actions import Action, Forget, Level, Log
 from stillcal.calib_core.engine.decisions import CalibrationPolicy
 from stillcal.calib_core.engine.duty_cycle import DutyBudget
+from stillcal.calib_core.engine.face_guide import FACE_S, LOOK_S, FaceGuide
 from stillcal.calib_core.engine.intake import Intake
 from stillcal.calib_core.engine.schedule import (
     Need,
@@ -68,6 +69,7 @@ class Engine:
         self._detector = StationaryDetector(self.settings.detector, state.detector)
         self._intake = Intake(self.settings, state, self._detector, self._actions)
         self._policy = CalibrationPolicy(self.settings, state, self._detector, self._actions)
+        self._guide = FaceGuide(state, self._detector, self._policy, self._actions)
 
     @property
     def state(self) -> EngineState:
@@ -159,6 +161,21 @@ class Engine:
         """Measure the gyroscope's bias on the rests of the last check interval, on request."""
         t = self._now()
         self._policy.update_bias(t, t - self.settings.schedule.check_interval_s)
+        return self._take_actions()
+
+    def lay_faces(self) -> list[Action]:
+        """Have the phone laid on its six faces, with the sensors on meanwhile.
+
+        `EngineState.faces` tells how far that is, and which face comes next. Return the actions that follow.
+        """
+        self._guide.begin(self._now())
+        self._plan(self._now())
+        return self._take_actions()
+
+    def stop_faces(self) -> list[Action]:
+        """Stop what `lay_faces` began, if it still goes on; return the actions that follow."""
+        self._guide.stop(self._now())
+        self._plan(self._now())
         return self._take_actions()
 
     def consider(self, findings: Iterable[Mapping[str, Any]]) -> list[Action]:
@@ -309,6 +326,11 @@ class Engine:
 
     def _do_review(self, t: float) -> None:
         state = self._state
+        if self._guide.laying:
+            self._intake.gather(self._detector.cut_rest(FACE_S))
+            self._guide.look(t)
+            self._plan(t)
+            return
         if state.early_check is not None and t >= state.early_check:
             state.check_due = state.check_due or early_check_due(state, t, self.settings.energy)
             state.early_check = None
@@ -334,6 +356,8 @@ class Engine:
         remaining_s = state.allowance.remaining_s(settings.energy)
         need = Need(rests=not self._has_enough_attitudes() or state.degraded, check=state.check_due)
         watch = watch_for(need, state.watch, remaining_s, settings.energy.burst_s, settings.schedule)
+        if self._guide.laying:
+            watch = Watch.CONTINUOUS
         onward = resumed(state, t)
         if state.watch is Watch.PROBING and (watch is not state.watch or onward > t):
             self._intake.look(t)
@@ -341,6 +365,8 @@ class Engine:
         step = settings.schedule.review_interval_s
         if watch is Watch.CONTINUOUS and settings.schedule.watch == "auto":
             step = min(step, max(remaining_s, _LEAST_REVIEW_S))
+        if self._guide.laying:
+            step = LOOK_S
         if onward > t and watch is Watch.PROBING:
             self._skip_to(onward)
         state.next_review = onward + step

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from stillcal.calib_core import gravity as local_gravity
+from stillcal.calib_core.calibration.laid_faces import LaidFaces
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.suspicion import Suspicion
@@ -98,7 +99,7 @@ class EngineState:
     centre: the calibration that was accepted last, where the accelerometer's in use follows the rests since.
     refusal: why the last attempt to fit was refused. trouble: None where the last check passed. suspected:
     steps of a bias that a single rest since the last check may have shown. trials: terms of a diagnosis that
-    are tested on the rests since.
+    are tested on the rests since. faces: how far six known faces have come that were asked for.
     """
 
     detector: DetectorState | None = None
@@ -134,6 +135,7 @@ class EngineState:
     trouble: Trouble | None = None
     suspected: dict[Sensor, Suspicion] = field(default_factory=dict)
     trials: tuple[Trial, ...] = ()
+    faces: LaidFaces | None = None
     counters: Counters = field(default_factory=Counters)
 
     @property

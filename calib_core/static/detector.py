@@ -17,7 +17,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.static.classify import LABELS, Coarseness, Codes, Flags, Windows, classify, trainable
-from stillcal.calib_core.static.gather import Gatherer, GatherState
+from stillcal.calib_core.static.gather import Gatherer, GatherState, cells_of
 from stillcal.calib_core.static.noise_floor import Floor, counted, octave_of, renewed
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import DetectorSettings, Ledger, Mode, Sense, Want
@@ -126,6 +126,11 @@ class StationaryDetector:
         state.gyro = take(state.gyro, Samples.empty(Sensor.GYROSCOPE), window, close=True)
         self._advance(math.inf)
         self._gatherer.stop()
+        return self._gatherer.take_rests()
+
+    def cut_rest(self, longest_s: float) -> list[RestState]:
+        """Return the open rest where it has lasted so long (s) in scan mode, without waiting for its end."""
+        self._gatherer.cut(cells_of(longest_s, self.settings.window_s))
         return self._gatherer.take_rests()
 
     def set_mode(self, mode: Mode) -> list[RestState]:

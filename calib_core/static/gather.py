@@ -185,6 +185,11 @@ class Gatherer:
             state.drawn = state.probe.drawn
         return state.probe
 
+    def cut(self, longest: int) -> None:
+        """Close the open run where it has that many cells; what goes on being still begins another."""
+        if self.state.run.cells >= longest:
+            self._close(Label.STILL)
+
     def stop(self) -> None:
         """Close the open run and the probe that it belongs to."""
         if self.state.probe is not None and self.state.run.rows.shape[0]:

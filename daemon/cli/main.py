@@ -24,6 +24,7 @@ COMMANDS = {
     "run": "stillcal.daemon.cli.run:run_command",
     "query": "stillcal.daemon.cli.query:query_command",
     "watch": "stillcal.daemon.cli.watch.command:watch_command",
+    "faces": "stillcal.daemon.cli.faces:faces_command",
     "install-service": "stillcal.daemon.cli.install:install_command",
 }
 """The daemon's own commands, found without searching the installed packages, so that `run` starts at once."""

@@ -72,10 +72,10 @@ def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: 
     """Ask a running daemon.
 
     METHOD is GetCalibration (the default), GetStatus, GetStillness, GetHistory, GetEnergy, GetFindings,
-    Correct, Monitor, Stream and Record (until interrupted), Calibrate, ZeroNow, Rollback or Reload; or any
-    method by its full name. A VALUE is JSON or plain text; one JSON object, or '-' for one on standard
-    input, may stand in place of all NAME=VALUE. Tables show at most 32 rows, --json all. Exit codes: 1
-    refused by the daemon, 2 bad input, 3 no calibration yet, 4 no daemon.
+    GetFaces, Correct, Monitor, Stream and Record (until interrupted), Calibrate, ZeroNow, LayFaces, Rollback
+    or Reload; or any method by its full name. A VALUE is JSON or plain text; one JSON object, or '-' for one
+    on standard input, may stand in place of all NAME=VALUE. Tables show at most 32 rows, --json all. Exit
+    codes: 1 refused by the daemon, 2 bad input, 3 no calibration yet, 4 no daemon.
     """
     where = answering_path(path)
     for word in (method, *parameters):
@@ -85,7 +85,7 @@ def query_command(method: str, parameters: tuple[str, ...], path: str, as_json: 
         question = _question(method, parameters)
         for reply in replies(where, question):
             if "error" in reply:
-                _exit_with_error(str(reply["error"]), reply.get("parameters") or {}, where, question)
+                exit_with_error(str(reply["error"]), reply.get("parameters") or {}, where, question)
             _print(reply.get("parameters") or {}, as_json)
     except NoDaemonError as error:
         click.echo(f"stillcal: {error}", err=True)
@@ -188,9 +188,7 @@ def _misfit(name: str, given: dict[str, Any], shape: str) -> str:
     return f"{what}; expected: {shape}" + (f" ({'; '.join(signs)})" if signs else "")
 
 
-def _exit_with_error(
-    error: str, parameters: dict[str, Any], where: Path, question: Mapping[str, Any]
-) -> None:
+def exit_with_error(error: str, parameters: dict[str, Any], where: Path, question: Mapping[str, Any]) -> None:
     """Print in one line why the daemon refused, and exit with the code for it."""
     name, method = error.rpartition(".")[2], question["method"].removeprefix(f"{NAME}.")
     if name in NO_METHOD:

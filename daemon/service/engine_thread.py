@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+from stillcal.calib_core.calibration.laid_faces import LaidFaces
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.suspicion import Suspicion
@@ -41,7 +42,8 @@ SWITCH_S = 0.001
 class View:
     """The engine's state at one moment. decides: time of its next decision, s; inf where none is planned.
 
-    rests_kept: for learning. on_trial: effects of which a term is tested. suspected: steps of a bias.
+    rests_kept: for learning. on_trial: effects of which a term is tested. suspected: steps of a bias. faces:
+    how far six known faces have come that were asked for.
     """
 
     want: Sense | Sleep
@@ -66,6 +68,7 @@ class View:
     rests_kept: int = 0
     on_trial: tuple[str, ...] = ()
     suspected: Mapping[Sensor, Suspicion] = field(default_factory=dict)
+    faces: LaidFaces | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +121,14 @@ class EngineThread:
     async def zero(self) -> EngineReply:
         """Measure the gyroscope's bias now."""
         return await self._ask(lambda engine: engine.update_bias())
+
+    async def lay_faces(self) -> EngineReply:
+        """Have the phone laid on its six faces, or go on with it."""
+        return await self._ask(lambda engine: engine.lay_faces())
+
+    async def stop_faces(self) -> EngineReply:
+        """Stop having it laid on its faces."""
+        return await self._ask(lambda engine: engine.stop_faces())
 
     async def consider(self, findings: Sequence[Mapping[str, Any]]) -> EngineReply:
         """Take the findings of a diagnosis of the rests kept."""
@@ -203,6 +214,7 @@ def _view(engine: Engine) -> View:
         rests_kept=len(s.memory),
         on_trial=tuple(trial.term.effect for trial in s.trials),
         suspected=s.suspected,
+        faces=s.faces,
     )
 
 

@@ -73,5 +73,8 @@ class Daemon(Protocol):
     async def zero(self) -> CalibrationRecord:
         """Measure the gyroscope's bias now. Raises ValueError where there is no recent rest."""
 
+    async def lay_faces(self, stop: bool) -> None:
+        """Have the phone laid on its six faces, or stop that."""
+
     async def reload(self) -> str:
         """Read the settings again; return why they were refused, or an empty string."""

@@ -241,6 +241,21 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         """Measure the gyroscope's bias now, on the last hour's rests. Only for root and the own user."""
         return await self._changed(self._daemon.zero)
 
+    @varlinkmethod(return_parameter="faces")
+    def GetFaces(self) -> api.Faces:
+        """Return how far the six faces have come that LayFaces asked for, and how to lay the phone next."""
+        return views.faces(self._daemon)
+
+    @varlinkmethod(return_parameter="faces")
+    async def LayFaces(self, *, stop: bool = False) -> api.Faces:
+        """Have the phone laid on its six faces, with its sensors on meanwhile; what is laid already stays.
+
+        The sixth face brings the calibration. stop: end it instead. Only for root and the daemon's own user.
+        """
+        _require_right()
+        await self._daemon.lay_faces(stop)
+        return views.faces(self._daemon)
+
     async def _changed(self, change: Callable[[], Awaitable[CalibrationRecord | None]]) -> api.Calibration:
         """Carry out a change, if the caller may; return the calibration that is then current."""
         _require_right()

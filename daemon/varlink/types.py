@@ -9,6 +9,7 @@ from typing import Literal, TypedDict
 
 SensorName = Literal["accelerometer", "gyroscope"]
 Confidence = Literal["unchecked", "confirmed", "failing"]
+Stage = Literal["none", "laying", "calibrated", "given_up", "stopped"]
 Handled = Literal["corrected", "on_trial", "reported"]
 
 
@@ -252,6 +253,21 @@ class Findings:
     memory_bytes: int
     at_s: float | None = None
     age_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Faces:
+    """How far the six faces have come that LayFaces asked for.
+
+    stage: none (never asked for), laying, calibrated, given_up (no further face for half an hour), stopped.
+    done: how many of the six the phone has lain on. missing: how to lay it for the others, the next one
+    first. note: what to know of the newest rest, why faces are asked for again, or how it ended.
+    """
+
+    stage: Stage
+    done: int
+    missing: list[str]
+    note: str
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.laid_faces import Stage
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
@@ -263,6 +264,16 @@ def _handled(effect: str, applied: Collection[str], on_trial: Collection[str]) -
     if effect in applied:
         return "corrected"
     return "on_trial" if effect in on_trial else "reported"
+
+
+def faces(daemon: Daemon) -> api.Faces:
+    """Return how far the six faces have come."""
+    laid = daemon.view.faces
+    if laid is None:
+        return api.Faces("none", 0, [], "")
+    lost = laid.stage is Stage.LAYING and not daemon.source.connected
+    note = "waiting for the phone to connect" if lost else laid.note
+    return api.Faces(laid.stage.value, len(laid.done), list(laid.missing), note)
 
 
 def event(notification: Notification, daemon: Daemon) -> api.Event:

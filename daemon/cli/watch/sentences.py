@@ -7,11 +7,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.observability import Attitude, amplification, most_helpful_attitude
+from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS
+from stillcal.calib_core.accelerometer.observability import (
+    Attitude,
+    amplification,
+    describe,
+    most_helpful_attitude,
+)
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.rest_pool import PoolSettings
 from stillcal.calib_core.static.rest import attitude_labels, directions
-from stillcal.daemon.cli.watch.snapshot import Snapshot
+from stillcal.daemon.cli.watch.snapshot import Answer, Snapshot
 
 LIMIT = 1.0
 """Amplification (observability.py) up to which the rests support every direction: no attitude is missing."""
@@ -47,7 +53,13 @@ def attitudes(now: Snapshot) -> list[tuple[Array, int]]:
 
 
 def wanted_attitude(now: Snapshot) -> Attitude | None:
-    """Return the orientation to record next; None where those held support every direction."""
+    """Return the orientation to record next; None where those held support every direction.
+
+    While known faces are laid it is the next of them.
+    """
+    if now.faces.get("stage") == "laying":
+        faces = (Attitude(up, describe(up)) for up in FACE_DIRECTIONS)
+        return next((face for face in faces if face.words in now.faces["missing"]), None)
     held = np.array([up for up, _ in attitudes(now)]).reshape(-1, 3)
     return None if amplification(held) <= LIMIT else most_helpful_attitude(held)
 
@@ -85,12 +97,20 @@ def next_step(now: Snapshot) -> str:
         return f"the disk refuses writes: {status['trouble']}"
     if not status.get("connected"):
         return "waiting for the phone to connect"
+    if now.faces.get("stage") == "laying":
+        return laying_faces(now.faces)
     if status.get("degraded"):
         return "needs new rests: the calibration no longer fits"
     if now.calibration is None or not now.calibration.get("accelerometer"):
         return _missing_for_calibration(now)
     due = status.get("decides_in_s")
     return "no decision is planned" if due is None else f"next measurement in {duration(due)}"
+
+
+def laying_faces(faces: Answer) -> str:
+    """Say how far six known faces have come, and how to lay the phone next. faces: as GetFaces answers."""
+    note = f"{faces['note']}; " if faces["note"] else ""
+    return f"{note}{faces['done']} of {len(FACE_DIRECTIONS)} faces: {faces['missing'][0]}"
 
 
 HANDLED = {"corrected": "corrected", "on_trial": "being tested", "reported": "not corrected"}

@@ -27,7 +27,7 @@ class Snapshot:
     """Answers of one moment, as the interface describes them; `absent` says why there are none.
 
     calibration: None where there is none yet. days: the newest, oldest first. diagnosis: the newest
-    self-diagnosis.
+    self-diagnosis. faces: how far six known faces have come.
     """
 
     where: Path
@@ -37,6 +37,7 @@ class Snapshot:
     calibration: Answer | None = None
     days: list[Answer] = field(default_factory=list)
     diagnosis: Answer = field(default_factory=dict)
+    faces: Answer = field(default_factory=dict)
 
 
 def snapshot(where: Path) -> Snapshot:
@@ -49,6 +50,7 @@ def snapshot(where: Path) -> Snapshot:
             calibration=_asked(where, "GetCalibration", "calibration"),
             days=_asked(where, "GetEnergy", "days", limit=DAYS) or [],
             diagnosis=_asked(where, "GetFindings", "diagnosis") or {},
+            faces=_asked(where, "GetFaces", "faces") or {},
         )
     except NoDaemonError as error:
         return Snapshot(where, absent=str(error))

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, six_faces
+from stillcal.calib_core.accelerometer.observability import describe
 from stillcal.calib_core.accelerometer.parameters import names
 from stillcal.calib_core.accelerometer.six_faces import SixFaces, common_rotation, fit_six_faces
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
-from stillcal.calib_core.calibration.known_faces import calibrate_faces, inherit_rotation
+from stillcal.calib_core.calibration.known_faces import calibrate_faces, inherit_rotation, turned_as
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
@@ -83,8 +84,9 @@ def test_a_missing_face_and_a_crooked_one_are_refused() -> None:
     assert "5 of 6 faces" in caught.value.reason and len(caught.value.missing) == 1
     crooked = tilted(np.radians(0.1), rng)
     crooked[2] = [np.sin(0.2), -np.cos(0.2), 0.0]
-    with pytest.raises(NotSupported, match="square and level"):
+    with pytest.raises(NotSupported, match="square and level") as crooked_face:
         fitted(crooked, rng)
+    assert crooked_face.value.missing == tuple(describe(FACE_DIRECTIONS[k]) for k in (2, 3))
 
 
 def pool_of(up: Array, t: float = 0.0) -> Pool:
@@ -115,6 +117,17 @@ def test_a_later_calibration_is_turned_as_the_known_faces_were() -> None:
     assert sd is not None and np.isfinite(sd).all() and sd.max() < 5e-3
     assert inherit_rotation(None, later) is later
     assert inherit_rotation(replace(known, accelerometer=later.accelerometer), later) is later
+
+
+def test_faces_laid_again_turn_a_calibration_and_leave_what_rests_show_of_it() -> None:
+    rng, gravity, settings = np.random.default_rng(6), Gravity(G, 0.0, "given"), CalibrateSettings()
+    rough = calibrate_faces(pool_of(tilted(np.radians(0.6), rng)), gravity, 200.0, settings)
+    fine = calibrate_faces(pool_of(tilted(1e-4, rng)), gravity, 400.0, settings)
+    by_rests = fit_candidate(pool_of(elsewhere(rng), 1000.0), gravity, 2000.0, settings).record
+    once, twice = turned_as(fine, by_rests), turned_as(fine, turned_as(rough, by_rests))
+    assert once.accelerometer is not None and twice.accelerometer is not None
+    assert twice.accelerometer.scale == pytest.approx(once.accelerometer.scale, abs=1e-12)
+    assert twice.accelerometer.covariance == pytest.approx(once.accelerometer.covariance, rel=1e-6, abs=1e-14)
 
 
 def test_the_rotation_in_a_scale_is_that_of_its_polar_decomposition() -> None:

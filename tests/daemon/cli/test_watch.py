@@ -99,6 +99,19 @@ def test_it_says_what_is_waited_for_the_most_pressing_first() -> None:
     assert "no longer fits" in words.next_step(calibrated)
 
 
+def test_while_known_faces_are_laid_it_says_which_one_comes_next() -> None:
+    right, left = "lay it on its right edge (x axis down)", "lay it on its left edge (x axis up)"
+    faces = {"stage": "laying", "done": 4, "missing": [right, left], "note": ""}
+    laying = replace(_snapshot(degraded=True, rests_held=8), faces=faces)
+    assert words.next_step(laying) == f"4 of 6 faces: {right}"
+    wanted = words.wanted_attitude(laying)
+    assert wanted is not None and wanted.up.tolist() == [-1.0, 0.0, 0.0]
+    tilted = replace(laying, faces=faces | {"note": "lay it flat"})
+    assert words.next_step(tilted) == f"lay it flat; 4 of 6 faces: {right}"
+    over = replace(laying, faces=faces | {"stage": "calibrated", "missing": []})
+    assert "no longer fits" in words.next_step(over)
+
+
 def test_the_attitude_that_would_help_most_is_the_one_left_out() -> None:
     """Of the sphere's 26 named places all but those around screen down."""
     rests = [{"force": (9.8 * up).tolist()} for up in places() if up[2] > -0.1]
