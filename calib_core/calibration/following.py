@@ -314,7 +314,6 @@ def _unturned(part: AccelerometerRecord) -> AccelerometerRecord:
 
 def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> AccelerometerRecord:
     """Return the accelerometer's record as learnt: nine parameters, from all rests kept."""
-    newest = learnt.errors[len(learnt.errors) // 2 :]
     labels = attitude_labels(memory.force, ATTITUDE_ANGLE)
     nine = part.parameters == 9
     return replace(
@@ -324,7 +323,7 @@ def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> Accelero
         parameters=9,
         names=names(9),
         covariance=learnt.covariance,
-        rms_residual=rms(newest),
+        rms_residual=_scatter(learnt),
         n_rests=len(memory),
         n_states=int(labels.max()) + 1,
         observability=part.observability if nine else None,
@@ -333,6 +332,19 @@ def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> Accelero
         iterations=None,
         with_prior=part.with_prior and int(labels.max()) + 1 <= 9,
     )
+
+
+def _scatter(learnt: Learnt) -> float:
+    """Return how far the newest half of the rests are from their predictions, m/s^2 (root mean square).
+
+    Each counts by how well it was predicted: right after a step of the bias next to nothing is known of it, so
+    that what is missed then is no scatter of rests. Doubted rests are left out, as in the fit.
+    """
+    newest = np.arange(len(learnt.t)) >= len(learnt.t) // 2
+    used = newest & ~np.isin(learnt.t, learnt.doubted)
+    rows = used if used.any() else newest
+    weights = learnt.errors_sd[rows] ** -2.0
+    return float(np.sqrt(np.average(learnt.errors[rows] ** 2, weights=weights)))
 
 
 def _with_term(record: CalibrationRecord, learnt: Learnt) -> CalibrationRecord:
