@@ -337,8 +337,8 @@ def _part(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> Accelero
 def _scatter(learnt: Learnt) -> float:
     """Return how far the newest half of the rests are from their predictions, m/s^2 (root mean square).
 
-    Each counts by how well it was predicted: right after a step of the bias next to nothing is known of it, so
-    that what is missed then is no scatter of rests. Doubted rests are left out, as in the fit.
+    Each counts by how well it was predicted: right after a step of the bias next to nothing is known of it,
+    and what is missed then is no scatter of rests. Doubted rests are left out, as in the fit.
     """
     newest = np.arange(len(learnt.t)) >= len(learnt.t) // 2
     used = newest & ~np.isin(learnt.t, learnt.doubted)
