@@ -56,9 +56,7 @@ def judge_examined(
     names = (recording.name, simulation.name)
     show_stage("comparing", 0.0)
     before = compare(recorded, simulated, names)
-    stated = findings_stated([s.finding for s in recorded.statements], "recorded")
-    stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
-    answer = answer_of(before, names, Fit.of(before, before), stated, recorded.bins.temperature)
+    answer = answered(before, None, recorded, simulated, names)
     if not before.discrepancies:
         return Judged(recording, recorded, simulated, before, None, None, answer)
     if any(d.note for d in before.discrepancies):
@@ -69,8 +67,21 @@ def judge_examined(
         changed = {d.sensor for d in before.discrepancies if d.effect.endswith(ON_VALUES)}
         measured = with_own_values(measured, simulated, changed)
     after = compare(recorded, measured, names)
-    answer = answer_of(before, names, Fit.of(before, after, made.left_out), stated, recorded.bins.temperature)
+    answer = answered(before, Fit.of(before, after, made.left_out), recorded, simulated, names)
     return Judged(recording, recorded, simulated, before, after, made.recording, answer)
+
+
+def answered(
+    before: Comparison,
+    fit: Fit | None,
+    recorded: Examination,
+    simulated: Examination,
+    names: tuple[str, str],
+) -> dict[str, Any]:
+    """Return the answer in plain values. fit: with what was found put in; None where nothing was."""
+    stated = findings_stated([s.finding for s in recorded.statements], "recorded")
+    stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
+    return answer_of(before, names, fit or Fit.of(before, before), stated, recorded.bins.temperature)
 
 
 def _added(recording: Recording, simulation: Recording, before: Comparison) -> Corrected:

@@ -15,10 +15,11 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.daemon.cli.main import cli
-from stillcal.replay.diagnosis.given_simulation import judge_examined, judge_simulation
+from stillcal.replay.diagnosis.given_simulation import answered, judge_examined, judge_simulation
 from stillcal.replay.diagnosis.judged import Judged, examined
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.formats.trace import Recording
@@ -68,6 +69,12 @@ def answer(recording: Recording, simulation: Recording) -> dict[str, Any]:
     return judged(recording, simulation).answer
 
 
+def compared(recording: Recording, simulation: Recording) -> dict[str, Any]:
+    """Return the answer before the differences are put into the simulation, which would be examined again."""
+    names, exams = (recording.name, simulation.name), (examination(recording), examination(simulation))
+    return answered(compare(*exams, names), None, *exams, names)
+
+
 def effects(said: Mapping[str, Any]) -> set[str]:
     return {f["effect"] for f in said["findings"]}
 
@@ -97,7 +104,7 @@ def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relatio
 
 @pytest.mark.slow
 def test_what_only_the_simulation_has_is_superfluous() -> None:
-    finding = only(answer(real(0.0), simulated(1.0)))
+    finding = only(compared(real(0.0), simulated(1.0)))
     assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", "superfluous")
     assert holds(finding["difference"]["slope"], -SLOPE)
 
@@ -115,7 +122,7 @@ def test_a_bias_that_differs_for_another_reason_is_stated_at_the_recordings_mean
     """It was stated where the lines of both come nearest to each other, 17 K colder than any reading."""
     bias = (SLOPE * 12.0 + np.array([0.0, 0.05, 0.0])).tolist()
     real = named(recorded(changed(phone_with(thermal(1.0)), "accel", bias=bias), 3), "real.csv")
-    said = answer(real, simulated(0.0))
+    said = compared(real, simulated(0.0))
     found = {f["effect"]: f for f in said["findings"]}
     assert set(found) == {"accel_bias", "accel_bias_temperature"}
     bins = examination(real).bins
@@ -134,7 +141,7 @@ def test_a_step_that_the_recording_alone_has_makes_no_bias_besides() -> None:
     force = np.array(still.xyz)
     force[still.t > 500.0, 2] += 334 * STANDARD / 8192.0  # 0.4 m/s^2, in whole steps of the values
     stepped = replace(real(0.0), accelerometer=replace(still, xyz=frozen(force)))
-    finding = only(answer(stepped, simulated(0.0)))
+    finding = only(compared(stepped, simulated(0.0)))
     assert (finding["effect"], finding["relation"]) == ("accel_bias_step", "lacking")
 
 
@@ -143,7 +150,7 @@ def test_a_time_constant_that_the_simulation_has_not_is_the_recordings_with_its_
     """The amplitude was that at a coarse grid point, and nothing told the time constant."""
     settling = {"name": "accel_warmup", "amplitude": [0.05, -0.03, 0.0], "tau_s": 170.0}
     real = named(recorded(phone_with(settling), 3), "real.csv")
-    finding = only(answer(real, simulated(0.0)))
+    finding = only(compared(real, simulated(0.0)))
     assert (finding["effect"], finding["relation"]) == ("accel_warmup", "lacking")
     assert finding["reference"]["tau_s"] == pytest.approx(finding["parameters"]["tau_s"]["value"], rel=0.1)
     low, high = finding["parameters"]["tau_s"]["ci95"]
@@ -155,7 +162,7 @@ def test_a_time_constant_that_the_simulation_has_not_is_the_recordings_with_its_
 def test_a_gyroscopes_scale_that_follows_temperature_is_one_finding() -> None:
     """Its constant part was told as a second one, at a temperature that nobody named."""
     warm = {"name": "gyro_scale_temperature", "slope": [2e-3, 0.0, 0.0]}
-    said = answer(recorded(phone_with(warm), 3), recorded(phone_with(), 8))
+    said = compared(recorded(phone_with(warm), 3), recorded(phone_with(), 8))
     assert effects(said) == {"gyro_scale_temperature"}
 
 
@@ -165,7 +172,7 @@ def test_flicker_beyond_what_a_phone_may_have_is_slow_noise_and_nothing_besides(
     noise = msgspec.structs.replace(phone_with().accel.noise, flicker=0.008)
     real = named(recorded(changed(phone_with(), "accel", noise=noise), 3), "real.csv")
     assert "nothing that was recorded" in {s.finding.where.driver for s in examination(real).statements}
-    finding = only(answer(real, simulated(0.0)))
+    finding = only(compared(real, simulated(0.0)))
     assert (finding["effect"], finding["relation"]) == ("accel_slow_noise", "too_small")
 
 
@@ -193,7 +200,7 @@ def test_a_line_that_the_simulation_lacks_is_put_into_it() -> None:
 
 @pytest.mark.slow
 def test_a_line_that_only_the_simulation_has_is_superfluous() -> None:
-    said = answer(real(0.0), named(recorded(phone_with(TONE), 5), "sim.csv"))
+    said = compared(real(0.0), named(recorded(phone_with(TONE), 5), "sim.csv"))
     assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("vibration_tone", "superfluous")]
 
 
@@ -203,7 +210,7 @@ def test_constants_and_noise_that_differ_are_told_in_their_own_units() -> None:
     bias = (np.asarray(phone.accel.bias) + np.array([0.1, 0.0, 0.0])).tolist()
     noise = msgspec.structs.replace(phone.accel.noise, white=2.0 * 0.00147)
     other = named(recorded(changed(phone, "accel", bias=bias, noise=noise), 8), "sim.csv")
-    found = {f["effect"]: f for f in answer(real(0.0), other)["findings"]}
+    found = {f["effect"]: f for f in compared(real(0.0), other)["findings"]}
     assert set(found) == {"accel_bias", "noise_level"}
     assert found["accel_bias"]["axes"] == ["x"] and found["accel_bias"]["relation"] == "too_large"
     assert holds(found["accel_bias"]["difference"]["bias"], np.array([-0.1, 0.0, 0.0]))
@@ -231,7 +238,7 @@ def odd(ratio: float, seed: int, name: str) -> Recording:
     ],
 )
 def test_one_axis_that_is_noisier_is_told_as_such(ratios: tuple[float, float], relation: str) -> None:
-    said = answer(odd(ratios[0], 3, "real.csv"), odd(ratios[1], 8, "sim.csv"))
+    said = compared(odd(ratios[0], 3, "real.csv"), odd(ratios[1], 8, "sim.csv"))
     finding = only(said)
     assert (finding["effect"], finding["relation"]) == ("noise_unequal_axes", relation)
     assert finding["axes"] == ["y"] and said["fit"]["p_before"] < 1e-6
@@ -264,7 +271,7 @@ def test_a_simulation_without_noise_lacks_it() -> None:
     phone = phone_with()
     quiet = type(phone.accel.noise)()
     silent = changed(changed(phone, "accel", noise=quiet, lsb=0.0), "gyro", noise=quiet, lsb=0.0)
-    found = answer(recorded(phone, 3), recorded(silent, 8))["findings"]
+    found = compared(recorded(phone, 3), recorded(silent, 8))["findings"]
     lacking = {(f["effect"], f["sensor"]): f for f in found if f["relation"] == "lacking"}
     assert {("noise_level", "accel"), ("noise_level", "gyro")} <= lacking.keys()
     level = lacking["noise_level", "gyro"]
@@ -340,7 +347,7 @@ def test_what_is_compared_is_stated_agreed_or_undecided() -> None:
     phone = phone_with()
     for x in (0.004, 0.008, 0.012):  # m/s^2: one of them lies between agreement and a difference
         bias = (np.asarray(phone.accel.bias) + np.array([x, 0.0, 0.0])).tolist()
-        said = answer(real(0.0), named(recorded(changed(phone, "accel", bias=bias), 8), "sim.csv"))
+        said = compared(real(0.0), named(recorded(changed(phone, "accel", bias=bias), 8), "sim.csv"))
         told = {(r["effect"], r["sensor"]) for k in ("findings", "agreed", "not_compared") for r in said[k]}
         assert {("accel_bias", "accel"), ("accel_scale", "accel"), ("noise_level", "accel")} <= told
 
