@@ -236,26 +236,25 @@ def _densities(s: Array, inside: NDArray[np.bool_], louder: Array) -> _Densities
     top = float(np.quantile(alike, 0.95))
     levels = np.geomspace(max(0.3 * float(np.quantile(alike, 0.5)), 0.05 * top), 1.5 * top, LEVELS)
     stray = STRAY / (np.maximum(s, 1e-12) * STRAY_RANGE)
-    shares = (np.arange(PARTS) + 0.5) / PARTS
-    steady, changing, here, of = [], [], [], []
-    for level, scatter, floor in product(levels, SCATTERS, FLOORS):
-        there = (1.0 - STRAY) * _there(s, level * louder, scatter, floor)
+    shares = ((np.arange(PARTS) + 0.5) / PARTS)[:, None, None]
+    steady, changing, here = [], [], []
+    for scatter, floor in product(SCATTERS, FLOORS):
+        there = (1.0 - STRAY) * _there(s, levels[:, None] * louder, scatter, floor)
         gone = (1.0 - STRAY) * _gone(s, floor)
         steady += [np.log(there + stray), np.log(np.where(inside, there, gone) + stray)]
-        for share in shares:
-            both = share * there + (1.0 - share) * gone + stray
-            changing.append(np.log(both))
-            here.append(share * there / both)
-            of.append(level)
-    return _Densities(np.array(steady), np.array(changing), np.array(here), np.array(of))
+        both = shares * there + (1.0 - shares) * gone + stray
+        changing.append(np.log(both).reshape(-1, s.size))
+        here.append((shares * there / both).reshape(-1, s.size))
+    of = np.tile(levels, len(changing) * PARTS)
+    return _Densities(np.concatenate(steady), np.concatenate(changing), np.concatenate(here), of)
 
 
 def _there(s: Array, level: Array, scatter: float, floor: float) -> Array:
-    """Return the density of the amplitude s (n,) where the line is there, its own level (n,) scattered.
+    """Return the density (L, n) of the amplitude s (n,) where the line is there, its levels (L, n) scattered.
 
     The power of three axes, line and noise, is a noncentral chi-squared with six degrees of freedom.
     """
-    unit, density = s / floor, np.zeros(s.size)
+    unit, density = s / floor, np.zeros(level.shape)
     for node, weight in zip(*SCATTERED, strict=True):
         line = level / floor * max(1.0 + scatter * node, 0.05)
         near = np.exp(-((unit - line) ** 2)) * scaled_bessel(2.0 * unit * line)
