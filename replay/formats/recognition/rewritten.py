@@ -111,16 +111,27 @@ def _without_groups(lines: Sequence[str]) -> Rewrite | None:
         return None
     columns = _columns_of_numbers([quoted_cells(line, delimiter) for line in filled])
     cells = [cell for column in columns for cell in column]
+    text = "\n".join(cells)
     for mark, decimal in _GROUP_MARKS:
+        if not re.search(mark, text):
+            continue
         grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
-        with_mark = [cell for cell in cells if re.search(mark, cell)]
-        twice = any(len(re.findall(mark, cell)) > 1 for cell in with_mark)
-        own = [c for column in columns if any(re.search(mark, c) for c in column) for c in column]
-        beside = cells if mark == delimiter else own
-        shown = twice or len(mark) > 2 or any(re.search(rf"\d{decimal}\d", cell) for cell in beside)
-        if with_mark and shown and all(map(grouped.fullmatch, with_mark)):
+        with_mark = (cell for cell in cells if re.search(mark, cell))
+        if all(map(grouped.fullmatch, with_mark)) and _is_shown(mark, decimal, columns, delimiter):
             return partial(_without_marks, delimiter, re.compile(mark), grouped)
     return None
+
+
+def _is_shown(mark: str, decimal: str, columns: Sequence[Sequence[str]], delimiter: str) -> bool:
+    """Whether numbers in columns show that a mark cannot be the decimal one; decimal: what is that then."""
+    marked = [column for column in columns if any(re.search(mark, cell) for cell in column)]
+    twice = any(len(re.findall(mark, cell)) > 1 for column in marked for cell in column)
+    beside = columns if mark == delimiter else marked
+    return (
+        twice
+        or len(mark) > 2
+        or any(re.search(rf"\d{decimal}\d", cell) for column in beside for cell in column)
+    )
 
 
 def _columns_of_numbers(rows: Sequence[Sequence[str]]) -> list[list[str]]:
