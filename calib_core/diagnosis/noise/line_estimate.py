@@ -72,11 +72,17 @@ def narrow(profile: Array, count: int) -> bool:
     return float(flank.mean()) - floor - chance < FLANK * (float(profile[away <= 1].mean()) - floor)
 
 
-def _amplitudes(seen: Stretches, rows: Index, f: Array) -> Array:
-    """Return complex amplitudes (rows, f, 3) of sines by the stamps, tapered."""
-    out = np.empty((rows.size, f.size, 3), dtype=np.complex128)
+def _amplitudes(seen: Stretches, rows: Index, first: float, step: float = 0.0, count: int = 1) -> Array:
+    """Return complex amplitudes (rows, count, 3) of sines by the stamps, tapered.
+
+    first, step: Hz, the frequencies, evenly spaced, so that one turns into the next by the same factors.
+    """
+    out = np.empty((rows.size, count, 3), dtype=np.complex128)
     for i, row in enumerate(rows):
-        out[i] = np.exp(-2j * np.pi * np.outer(f, seen.t[row])) @ seen.tapered[row]
+        turned = np.empty((count, seen.t.shape[1]), dtype=np.complex128)
+        turned[0] = np.exp(-2j * np.pi * first * seen.t[row])
+        turned[1:] = np.exp(-2j * np.pi * step * seen.t[row])
+        out[i] = np.multiply.accumulate(turned, axis=0) @ seen.tapered[row]
     return np.asarray(out * seen.to_amplitude[rows, None, None])
 
 
@@ -85,7 +91,7 @@ def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]
     few = rows[np.linspace(0, rows.size - 1, min(rows.size, MOST_REFINED)).astype(int)]
     step = float(seen.f[1])
     grid = seen.f[middle] + np.arange(-1.5, 1.5 + FINE, FINE) * step
-    power = (np.abs(_amplitudes(seen, few, grid)) ** 2).sum(axis=2)
+    power = (np.abs(_amplitudes(seen, few, float(grid[0]), FINE * step, grid.size)) ** 2).sum(axis=2)
     fold = blocks(len(power))
     best = _peak(grid, power.sum(axis=0))
     parts = np.array([_peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
@@ -106,7 +112,7 @@ def _peak(grid: Array, power: Array) -> float:
 def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
     """State the line at a frequency (its index) that some stretches show; None where it is not sure."""
     frequency, error = _frequency(seen, rows, middle)
-    line = np.abs(_amplitudes(seen, rows, np.array([frequency]))[:, 0]) ** 2
+    line = np.abs(_amplitudes(seen, rows, frequency)[:, 0]) ** 2
     noise = seen.to_amplitude[rows, None] ** 2 * _louder_side(seen, rows, middle)
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
     amplitude = np.sqrt(np.maximum(power, 0.0))
