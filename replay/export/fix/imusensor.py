@@ -95,8 +95,13 @@ def _variable(text: str) -> str:
 
 
 def _line(fixed: Fixed, finding: Finding, key: str) -> re.Match[str] | None:
+    """Return the assignment of a property: what is before its value, the value, what ends it.
+
+    Semicolons and ends of lines inside brackets end a row, not the value.
+    """
     name = rf"{_variable(fixed.text)}\.{SENSORS[finding['sensor']]}\.{key}"
-    return re.search(rf"^([ \t]*{name}[ \t]*=[ \t]*)([^;%\n]*(?:\[[^\]]*\])?)(;?)", fixed.text, re.MULTILINE)
+    value = r"(?:\[[^\]]*\]|[^\[;%\n])*"
+    return re.search(rf"^([ \t]*{name}[ \t]*=[ \t]*)({value})(;?)", fixed.text, re.MULTILINE)
 
 
 def _get(fixed: Fixed, finding: Finding, key: str, default: Array) -> Array:
@@ -104,9 +109,9 @@ def _get(fixed: Fixed, finding: Finding, key: str, default: Array) -> Array:
     match = _line(fixed, finding, key)
     if match is None:
         return default
-    rows = [row.replace(",", " ").split() for row in match[2].strip().strip("[]").split(";")]
+    rows = [row.replace(",", " ").split() for row in re.split("[;\n]", match[2].strip().strip("[]"))]
     try:
-        values = np.array([[float(x) for x in row] for row in rows], dtype=np.float64)
+        values = np.array([[float(x) for x in row] for row in rows if row], dtype=np.float64)
     except ValueError as error:
         raise CannotHold(f"{key} is {match[2].strip()[:40]}, which is not made of plain numbers") from error
     values = values[0] if len(values) == 1 else values

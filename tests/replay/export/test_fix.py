@@ -306,6 +306,19 @@ def test_imusensor_changes_its_properties_in_its_own_units() -> None:
     assert "'SampleRate', 200.0)" in made.text and made.text.endswith("x = 1;\n")
 
 
+@pytest.mark.parametrize("end_of_row", ["; ", "\n  "])
+def test_imusensor_s_matrix_is_read_again_after_it_was_written(end_of_row: str) -> None:
+    """Its rows end with the character that ends the assignment: it was read up to there, and refused."""
+    once = fixed("imusensor", None, SCALE)
+    twice = fixed("imusensor", once.text.replace("; ", end_of_row), SCALE)
+    assert not twice.not_held
+    [line] = [line for line in twice.text.splitlines() if "AxesMisalignment" in line]
+    assert twice.text.count("\n") == once.text.count("\n")
+    rows = [row.split() for row in line.partition("[")[2].partition("]")[0].split(";")]
+    gain = np.diag([1.0 / 0.98, 1.0, 1.0 / 1.01])
+    np.testing.assert_allclose(np.array(rows, float), 100.0 * gain**2, rtol=1e-9)
+
+
 @pytest.mark.parametrize("tool", FIXERS)
 def test_nothing_found_changes_nothing_and_a_new_file_can_be_read_back(tool: str) -> None:
     fresh = fixed(tool, None, *ALL)
