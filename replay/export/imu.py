@@ -67,18 +67,31 @@ class SensorNoise:
             self.random_walk.any() or self.flicker.any() or any(s.any() for s, _ in self.gauss_markov)
         )
 
-    def walk_alike(self, lag: float = LAG_S) -> Array:
-        """Return the random walk (3,), unit/sqrt(s), with the Allan deviation of all slow noise at `lag`.
+    def slow_deviation(self, lag: float = LAG_S) -> Array:
+        """Return the Allan deviation (3,) of all slow noise, without the white, at an averaging time `lag`, s.
 
         Allan variances by IEEE Std 952-1997, Annex C: K^2 tau / 3 of a random walk, B^2 2 ln 2 / pi of
         flicker noise (C.16), and that of a first-order Gauss-Markov process.
         """
         variance = self.random_walk**2 * lag / 3.0 + (FLOOR * self.flicker) ** 2
         for sigma, tau in self.gauss_markov:
-            x = lag / tau
-            decays = 3.0 - 4.0 * np.exp(-x) + np.exp(-2.0 * x)
-            variance = variance + sigma**2 * (2.0 / x) * (1.0 - decays / (2.0 * x))
-        return np.asarray(np.sqrt(np.maximum(3.0 * variance / lag, 0.0)))
+            variance = variance + sigma**2 * gauss_markov_allan(tau, lag)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    def walk_alike(self, lag: float = LAG_S) -> Array:
+        """Return the random walk (3,), unit/sqrt(s), with the Allan deviation of all slow noise at `lag`."""
+        return np.asarray(self.slow_deviation(lag) * np.sqrt(3.0 / lag))
+
+
+def gauss_markov_allan(tau: float | Array, lag: float = LAG_S) -> Array:
+    """Return the Allan variance at `lag` s of a Gauss-Markov process of unit variance; tau: its time, s.
+
+    IEEE Std 952-1997, Annex C, C.1.6.
+    """
+    x = lag / np.asarray(tau, dtype=np.float64)
+    exact = (2.0 / x) * (1.0 - (3.0 - 4.0 * np.exp(-x) + np.exp(-2.0 * x)) / (2.0 * x))
+    # With a time much longer than the lag it is as good as a random walk, and the exact form loses its digits.
+    return np.asarray(np.where(x < 1e-3, 2.0 * x / 3.0 - x**2 / 2.0, exact))
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

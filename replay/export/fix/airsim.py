@@ -19,13 +19,15 @@ from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.airsim import KEYS, TAUS, stability
 from stillcal.replay.export.fix.findings import (
     SENSORS,
+    SLOW_NOISE,
+    WHITE,
     Finding,
     Fixed,
     apply_findings,
     common_level,
     note_change,
     recorded,
-    walk_of,
+    slow_walk,
 )
 
 IMU = 2
@@ -48,19 +50,17 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def white(finding: Finding) -> None:
         key, unit, *_ = KEYS[SENSORS[finding["sensor"]]]
-        own = rms(recorded(finding, "density")) / float(np.sqrt(2.0)) / unit
+        own = rms(recorded(finding, WHITE)) / float(np.sqrt(2.0)) / unit
         for imu in imus:
-            _set(imu, key, common_level(_get(imu, key), finding, "density", own), fixed)
+            _set(imu, key, common_level(_get(imu, key), finding, WHITE, own), fixed)
 
     def slow(finding: Finding) -> None:
-        sensor, name = SENSORS[finding["sensor"]], "allan_deviation_100s"
-        walk = rms(walk_of(recorded(finding, name)))
+        sensor = SENSORS[finding["sensor"]]
+        key, walk = KEYS[sensor][2], rms(slow_walk(finding))
         for imu in imus:
-            key = KEYS[sensor][2]
-            own = stability(sensor, walk, imu.get(TAUS[sensor]))[key]
-            _set(imu, key, common_level(_get(imu, key), finding, name, own), fixed)
+            _set(imu, key, stability(sensor, walk, imu.get(TAUS[sensor]))[key], fixed)
 
-    handlers = {"accel_slow_noise": slow, "gyro_slow_noise": slow} | dict.fromkeys(OF_DENSITY, white)
+    handlers = dict.fromkeys(SLOW_NOISE, slow) | dict.fromkeys(OF_DENSITY, white)
     apply_findings(findings, handlers, fixed)
     fixed.text = json.dumps(settings, indent=2) + "\n"
     return fixed

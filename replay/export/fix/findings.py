@@ -11,6 +11,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.terms import POWER_NAMES
+from stillcal.calib_core.maths.rms import rms
+from stillcal.replay.export.imu import LAG_S
 
 Finding = Mapping[str, Any]
 
@@ -18,6 +20,10 @@ AXES = "xyz"
 SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
 ORDER = ("sample_rate", "accel_scale", "gyro_scale")
 """Applied first: a noise per sample depends on the rate, and a bias is added to what is scaled."""
+
+SLOW_NOISE = tuple(f"{sensor}_slow_noise" for sensor in SENSORS)
+DEVIATION, WHITE = "allan_deviation_100s", "density"
+"""Parameters of slow noise, its Allan deviation at `LAG_S`, and of white noise."""
 
 AT_MEAN = {f"{sensor}_bias_temperature": f"{sensor}_bias" for sensor in SENSORS}
 """Effects that a configuration without temperature can hold at one temperature, and what holds it."""
@@ -215,9 +221,44 @@ def mean_c(finding: Finding) -> float | None:
     return None if value is None else float(value)
 
 
-def walk_of(allan_deviation: Array, averaging_s: float = 100.0) -> Array:
-    """Return the random walk, unit/sqrt(s), of an Allan deviation at a time in s (IEEE Std 952, Annex C)."""
-    return np.asarray(allan_deviation * np.sqrt(3.0 / averaging_s))
+def findings_of(answer: Mapping[str, Any]) -> list[Finding]:
+    """Return an answer's findings; slow noise has beside it the recording's density of white noise.
+
+    The density is that of another finding or, where the two agree, of what was compared.
+    """
+    compared = [*answer["findings"], *answer.get("agreed", ())]
+    densities = {
+        one["sensor"]: {WHITE: one["parameters"][WHITE]} for one in compared if WHITE in one["parameters"]
+    }
+    beside = {f"{sensor}_slow_noise": density for sensor, density in densities.items()}
+    return [
+        {**f, "parameters": {**beside.get(f["effect"], {}), **f["parameters"]}} for f in answer["findings"]
+    ]
+
+
+def slow_deviation(finding: Finding) -> Array:
+    """Return the Allan deviation (3,) at `LAG_S` of the recording's slow noise alone.
+
+    The one that was compared has white noise in it, by its square white^2 / (2 LAG_S) of a one-sided density
+    (IEEE Std 952-1997, Annex C). Raises CannotHold where that is not known.
+    """
+    if WHITE not in finding["parameters"]:
+        raise CannotHold("how much of its Allan deviation is white noise is not known")
+    whole, white = (recorded(finding, name) for name in (DEVIATION, WHITE))
+    white = white if whole.size == 3 else np.array(rms(white))
+    return np.broadcast_to(np.sqrt(np.maximum(whole**2 - white**2 / (2.0 * LAG_S), 0.0)), 3)
+
+
+def slow_walk(finding: Finding) -> Array:
+    """Return the random walk (3,), unit/sqrt(s), with the recording's slow noise at `LAG_S`."""
+    return np.asarray(slow_deviation(finding) * np.sqrt(3.0 / LAG_S))
+
+
+def on_its_axes(finding: Finding, after: Array, before: Array) -> Array:
+    """Return `after` (3,) on the axes that a finding names, all where it names none, else `before` (3,)."""
+    if not finding["axes"]:
+        return np.asarray(after)
+    return np.where([axis in finding["axes"] for axis in AXES], after, before)
 
 
 def gain_after(finding: Finding, before: Array) -> Array:

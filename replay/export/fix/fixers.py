@@ -6,7 +6,7 @@ import importlib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from stillcal.replay.export.fix.findings import Finding, Fixed
+from stillcal.replay.export.fix.findings import Finding, Fixed, findings_of
 
 FIXERS = {
     "phone": "phone",
@@ -27,4 +27,4 @@ def fixed_for(tool: str, text: str | None, answer: Mapping[str, Any]) -> Fixed:
     """
     fix: Callable[[str | None, Sequence[Finding]], Fixed]
     fix = importlib.import_module(f"{__package__}.{FIXERS[tool]}").fix
-    return fix(text, answer["findings"])
+    return fix(text, findings_of(answer))

@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
     AXES,
+    SLOW_NOISE,
     CannotHold,
     Finding,
     Fixed,
@@ -20,14 +21,16 @@ from stillcal.replay.export.fix.findings import (
     changed_axes,
     level,
     note_change,
+    on_its_axes,
     ratio,
     recorded,
     rounded,
+    slow_deviation,
     to_add,
-    walk_of,
 )
 from stillcal.replay.export.fix.xml_text import Node, parsed, text_at, with_child, with_text
 from stillcal.replay.export.gazebo import LONG_S
+from stillcal.replay.export.imu import gauss_markov_allan
 
 ELEMENTS = {"accel": "linear_acceleration", "gyro": "angular_velocity"}
 
@@ -63,8 +66,7 @@ class Gazebo:
             "accel_bias": self._bias,
             "gyro_bias": self._bias,
             **dict.fromkeys(OF_DENSITY, self._white),
-            "accel_slow_noise": self._slow,
-            "gyro_slow_noise": self._slow,
+            **dict.fromkeys(SLOW_NOISE, self._slow),
         }
         apply_findings(findings, handlers, self._fixed)
         self._fixed.text = self._data.decode()
@@ -114,12 +116,15 @@ class Gazebo:
             self._set(element, axis, "stddev", float(after[axis]))
 
     def _slow(self, finding: Finding) -> None:
-        element, name = ELEMENTS[finding["sensor"]], "allan_deviation_100s"
-        before = np.array([self._value(element, axis, "dynamic_bias_stddev") for axis in range(3)])
-        after = level(before, finding, name, walk_of(recorded(finding, name)))
+        element = ELEMENTS[finding["sensor"]]
+        names = "dynamic_bias_stddev", "dynamic_bias_correlation_time"
+        before, known = (np.array([self._value(element, a, name) for a in range(3)]) for name in names)
+        tau = np.where(known == 0.0, LONG_S, known)
+        spread = slow_deviation(finding) / np.sqrt(gauss_markov_allan(tau))
+        after = on_its_axes(finding, spread * np.sqrt(2.0 / tau), before)
         for axis in changed_axes(after - before):
             self._set(element, axis, "dynamic_bias_stddev", float(after[axis]))
-            if self._value(element, axis, "dynamic_bias_correlation_time") == 0.0:
+            if known[axis] == 0.0:
                 self._set(element, axis, "dynamic_bias_correlation_time", LONG_S)
 
     def _value(self, element: str, axis: int, name: str) -> float:

@@ -3,8 +3,9 @@
 Aceinna/gnss-ins-sim, gnss_ins_sim/sim/imu_model.py: gyro_b and gyro_b_stability in deg/h, gyro_arw in
 deg/sqrt(h), accel_b and accel_b_stability in m/s^2, accel_vrw in m/s/sqrt(h), three numbers each.
 pathgen/pathgen.py, acc_gen and gyro_gen: measured = true + b + drift + noise; a sample's standard deviation
-is the walk's density times sqrt(rate), and the true force is the specific force. Only these numbers are
-changed in the script's text.
+is the walk's density times sqrt(rate), and the true force is the specific force. The drift (bias_drift) is a
+Gauss-Markov process of the standard deviation b_stability and the time gyro_b_corr or accel_b_corr, s; without
+such a time it is white. Only these numbers are changed in the script's text.
 """
 
 from __future__ import annotations
@@ -19,21 +20,25 @@ from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.airsim import DEG_PER_HOUR, DEG_PER_ROOT_HOUR
 from stillcal.replay.export.fix.findings import (
+    SLOW_NOISE,
     CannotHold,
     Finding,
     Fixed,
     apply_findings,
     level,
     note_change,
-    ratio,
+    on_its_axes,
     recorded,
     rounded,
+    slow_deviation,
     to_add,
 )
+from stillcal.replay.export.imu import gauss_markov_allan
 
 BIAS = {"accel": ("accel_b", 1.0), "gyro": ("gyro_b", DEG_PER_HOUR)}
 WALK = {"accel": ("accel_vrw", 1.0 / 60.0), "gyro": ("gyro_arw", DEG_PER_ROOT_HOUR)}
-STABILITY = {"accel": "accel_b_stability", "gyro": "gyro_b_stability"}
+STABILITY = {"accel": ("accel_b_stability", 1.0), "gyro": ("gyro_b_stability", DEG_PER_HOUR)}
+CORRELATION = {"accel": "accel_b_corr", "gyro": "gyro_b_corr"}
 
 NEW = """import numpy as np
 
@@ -67,20 +72,19 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
         _set(fixed, key, level(_get(fixed, key), finding, "density", own))
 
     def slow(finding: Finding) -> None:
-        key = STABILITY[finding["sensor"]]
-        before = _get(fixed, key)
-        if not before.all() or finding["relation"] == "lacking":
-            raise CannotHold(
-                f"the simulation has none, and what {key} must be depends on the run's sample rate"
-            )
-        _set(fixed, key, before * ratio(finding, "allan_deviation_100s"))
+        sensor = finding["sensor"]
+        (key, unit), time = STABILITY[sensor], CORRELATION[sensor]
+        before, tau = _get(fixed, key), _get(fixed, time)
+        if not (tau > 0.0).all():
+            raise CannotHold(f"{time} is not above 0")
+        spread = slow_deviation(finding) / np.sqrt(gauss_markov_allan(tau))
+        _set(fixed, key, on_its_axes(finding, spread / unit, before))
 
     handlers = {
         "accel_bias": bias,
         "gyro_bias": bias,
         **dict.fromkeys(OF_DENSITY, white),
-        "accel_slow_noise": slow,
-        "gyro_slow_noise": slow,
+        **dict.fromkeys(SLOW_NOISE, slow),
     }
     apply_findings(findings, handlers, fixed)
     return fixed

@@ -23,12 +23,13 @@ from stillcal.replay.export.fix.findings import (
     gain_after,
     level,
     note_change,
+    on_its_axes,
     recorded,
     reference_c,
     refuse_bends,
     rounded,
+    slow_walk,
     to_add,
-    walk_of,
 )
 from stillcal.replay.export.imusensor import PERCENT, REFERENCE_C
 
@@ -70,10 +71,11 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
         _set(fixed, finding, "NoiseDensity", before, after)
 
     def slow(finding: Finding) -> None:
-        name = "allan_deviation_100s"
+        if _get(fixed, finding, "BiasInstability", np.zeros(3)).any():
+            raise CannotHold("its BiasInstability is slow noise too, and RandomWalk would be added to it")
         before = _get(fixed, finding, "RandomWalk", np.zeros(3))
-        own = walk_of(recorded(finding, name)) / np.sqrt(2.0)
-        _set(fixed, finding, "RandomWalk", before, level(before, finding, name, own))
+        after = on_its_axes(finding, slow_walk(finding) / np.sqrt(2.0), before)
+        _set(fixed, finding, "RandomWalk", before, after)
 
     def rate(finding: Finding) -> None:
         _sample_rate(fixed, common_ratio(finding, "rate"))

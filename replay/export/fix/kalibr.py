@@ -7,7 +7,7 @@ said, with sources, in `stillcal.replay.export.kalibr`.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.fix.findings import (
     SENSORS,
+    SLOW_NOISE,
+    WHITE,
     CannotHold,
     Finding,
     Fixed,
@@ -23,7 +25,7 @@ from stillcal.replay.export.fix.findings import (
     common_level,
     note_change,
     recorded,
-    walk_of,
+    slow_walk,
 )
 
 
@@ -31,12 +33,15 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
     """Return the file with the differences in it; a new one with what was found where there is none."""
     fixed = Fixed("rostopic: /imu0\n" if text is None else text)
 
-    def change(key: str, finding: Finding, name: str, own: float) -> None:
-        """Change the number after `key:` wherever it stands; in a new file put the recording's own."""
+    def change(key: str, own: float, level: Callable[[float], float] | None = None) -> None:
+        """Change the number after `key:` wherever it stands; in a new file put the recording's own.
+
+        level: what becomes of a number that is there, the recording's own without it.
+        """
 
         def changed(found: re.Match[str]) -> str:
             before = _number(found[2], key)
-            after = common_level(before, finding, name, own)
+            after = own if level is None else level(before)
             note_change(fixed, key, before, after)
             return f"{found[1]}{after:.10g}"
 
@@ -50,18 +55,21 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
             raise CannotHold(f"there is no {key} in it")
 
     def rate(finding: Finding) -> None:
-        change("update_rate", finding, "rate", float(recorded(finding, "rate")))
+        own = float(recorded(finding, "rate"))
+        change("update_rate", own, lambda before: common_level(before, finding, "rate", own))
 
     def white(finding: Finding) -> None:
-        own = rms(recorded(finding, "density")) / float(np.sqrt(2.0))
-        change(f"{SENSORS[finding['sensor']]}_noise_density", finding, "density", own)
+        own = rms(recorded(finding, WHITE)) / float(np.sqrt(2.0))
+        key = f"{SENSORS[finding['sensor']]}_noise_density"
+        change(key, own, lambda before: common_level(before, finding, WHITE, own))
 
     def slow(finding: Finding) -> None:
-        own = rms(walk_of(recorded(finding, "allan_deviation_100s")))
-        change(f"{SENSORS[finding['sensor']]}_random_walk", finding, "allan_deviation_100s", own)
+        own = rms(slow_walk(finding))
+        if own == 0.0:
+            raise CannotHold("the recording shows none, and kalibr wants a random walk above 0")
+        change(f"{SENSORS[finding['sensor']]}_random_walk", own)
 
-    handlers = {"sample_rate": rate, "accel_slow_noise": slow, "gyro_slow_noise": slow}
-    handlers |= dict.fromkeys(OF_DENSITY, white)
+    handlers = {"sample_rate": rate, **dict.fromkeys(SLOW_NOISE, slow), **dict.fromkeys(OF_DENSITY, white)}
     apply_findings(findings, handlers, fixed)
     return fixed
 

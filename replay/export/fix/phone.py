@@ -29,15 +29,18 @@ from stillcal.replay.export.fix.findings import (
     gain_after,
     level,
     note_change,
+    on_its_axes,
     powers_of,
     ratio,
     recorded,
     reference_c,
     restated,
     rounded,
+    slow_deviation,
     to_add,
 )
 from stillcal.replay.export.fix.toml_text import edited
+from stillcal.replay.export.imu import LAG_S, noise_of
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.effects.registry import EFFECTS
 from stillcal.replay.phone.phone import Phone, dump_phone
@@ -105,20 +108,19 @@ class _Phone:
         note_change(self._fixed, f"{finding['sensor']}.noise.white", before, after)
 
     def slow(self, finding: Finding) -> None:
-        noise, name = self._sensor(finding).noise, "allan_deviation_100s"
-        none = not (per_axis(noise.flicker).any() or per_axis(noise.random_walk).any() or noise.gauss_markov)
-        if none or finding["relation"] == "lacking":
-            flicker = np.broadcast_to(recorded(finding, name), 3) / FLOOR
-            self._set_noise(finding, flicker=_vector(flicker))
-            note_change(self._fixed, f"{finding['sensor']}.noise.flicker", 0.0, flicker)
-            return
-        factor = np.broadcast_to(ratio(finding, name), 3)
-        changed = {f: _vector(per_axis(getattr(noise, f)) * factor) for f in ("flicker", "random_walk")}
+        """Multiply all slow noise to have the recording's Allan deviation; flicker where there is none."""
+        settings = self._sensor(finding)
+        noise, before = settings.noise, noise_of(settings).slow_deviation()
+        after = on_its_axes(finding, slow_deviation(finding), before)
+        factor = np.divide(after, before, out=np.ones(3), where=before > 0.0)
+        flicker = per_axis(noise.flicker) * factor + np.where(before > 0.0, 0.0, after / FLOOR)
         wandering = tuple(
             msgspec.structs.replace(g, sigma=_vector(per_axis(g.sigma) * factor)) for g in noise.gauss_markov
         )
-        self._set_noise(finding, gauss_markov=wandering, **changed)
-        self._fixed.changed.append(f"{finding['sensor']}.noise: all slow noise times {factor.mean():.4g}")
+        walk = _vector(per_axis(noise.random_walk) * factor)
+        self._set_noise(finding, flicker=_vector(flicker), gauss_markov=wandering, random_walk=walk)
+        place = f"{finding['sensor']}.noise: Allan deviation of its slow noise at {LAG_S:g} s"
+        note_change(self._fixed, place, before, after)
 
     def rate(self, finding: Finding) -> None:
         factor = float(ratio(finding, "rate"))

@@ -41,6 +41,9 @@ def finding(
 BIAS = finding("gyro_bias", "gyro", {"bias": ([0.03, 0.5, 0.02], [0.01, 0.1, 0.0])}, axes="xz")
 WHITE = finding("noise_level", "accel", {"density": ([4e-3, 2e-3, 3e-3], [2e-3, 2e-3, 2e-3])})
 SLOW = finding("gyro_slow_noise", "gyro", {"allan_deviation_100s": ([3e-5] * 3, [1e-5] * 3)})
+AGREED = {"effect": "noise_level", "sensor": "gyro", "parameters": {"density": {"value": [2e-4] * 3}}}
+SLOW_ALONE = float(np.sqrt(3e-5**2 - 2e-4**2 / 200.0))
+"""The Allan deviation at 100 s of SLOW without white noise, whose one-sided density is 2e-4."""
 RATE = finding("sample_rate", "timing", {"rate": (200.0, 100.0)}, axes="")
 SLOPE = finding(
     "gyro_bias_temperature",
@@ -56,7 +59,7 @@ ALL = [BIAS, WHITE, SLOW, RATE, SLOPE, SCALE, MATRIX, UNKNOWN]
 
 
 def fixed(tool: str, text: str | None, *findings: dict[str, Any]) -> Any:
-    return fixed_for(tool, text, {"findings": list(findings)})
+    return fixed_for(tool, text, {"findings": list(findings), "agreed": [AGREED]})
 
 
 PHONE = """# my phone
@@ -239,8 +242,13 @@ def test_gazebo_is_changed_in_place() -> None:
     assert float(z.findtext("stddev") or 0) == pytest.approx(3e-3 * np.sqrt(100.0))
     assert float(imu.findtext("angular_velocity/x/noise/mean") or 0) == pytest.approx(0.02)
     assert imu.findtext("angular_velocity/y/noise/mean") is None
-    walk = float(imu.findtext("angular_velocity/y/noise/dynamic_bias_stddev") or 0)
-    assert walk == pytest.approx(3e-5 * np.sqrt(3.0 / 100.0))
+    # The Allan variance at a tenth of its correlation time of a Gauss-Markov process of unit variance.
+    unit = 20.0 * (1.0 - 5.0 * (3.0 - 4.0 * np.exp(-0.1) + np.exp(-0.2)))
+    driving, tau = (
+        float(imu.findtext(f"angular_velocity/y/noise/dynamic_bias_{name}") or 0)
+        for name in ("stddev", "correlation_time")
+    )
+    assert tau == 1000.0 and driving * np.sqrt(tau / 2.0 * unit) == pytest.approx(SLOW_ALONE)
     assert {line.partition(":")[0] for line in made.not_held} == {
         "gyro_bias_temperature",
         "gyro_scale",
@@ -265,7 +273,8 @@ def test_airsim_multiplies_its_own_values_and_keeps_other_settings() -> None:
     imu = value["Vehicles"]["A"]["Sensors"]["I"]
     assert (value["SimMode"], imu["x"]) == ("Car", 1)
     assert imu["VelocityRandomWalk"] == pytest.approx(0.24 * np.sqrt((16 + 4 + 9) / 12))
-    assert imu["GyroBiasStability"] == pytest.approx(4.6 * 3.0)
+    walk = np.deg2rad(imu["GyroBiasStability"] / 3600.0) / np.sqrt(500.0)  # AirSim's own Tau
+    assert walk * np.sqrt(100.0 / 3.0) == pytest.approx(SLOW_ALONE)
 
 
 def test_kalibr_changes_its_lines_only() -> None:
@@ -276,17 +285,72 @@ def test_kalibr_changes_its_lines_only() -> None:
     assert made.not_held == ["gyro_slow_noise: there is no gyroscope_random_walk in it"]
 
 
+@pytest.mark.parametrize(
+    ("tool", "text", "written", "unit"),
+    [
+        ("kalibr", "gyroscope_random_walk: 1.0e-6\n", "gyroscope_random_walk: ", 1.0),
+        (
+            "imusensor",
+            "a = imuSensor();\na.Gyroscope.RandomWalk = [1e-6 1e-6 1e-6];\n",
+            "Walk = [",
+            np.sqrt(2.0),
+        ),
+        ("phone", "[gyro.noise]\nrandom_walk = 1e-6\n", "random_walk = [", 1.0),
+    ],
+)
+def test_slow_noise_is_written_as_the_walk_that_the_recording_has_beside_its_white_noise(
+    tool: str, text: str, written: str, unit: float
+) -> None:
+    """The file's own walk is hidden by white noise in what was compared; multiplied by how many times larger
+    that is in the recording, it was as much too small."""
+    made = fixed(tool, text, SLOW)
+    value = float(made.text.partition(written)[2].split()[0].strip(",]"))
+    assert value * unit * np.sqrt(100.0 / 3.0) == pytest.approx(SLOW_ALONE)
+
+
+@pytest.mark.parametrize("tool", FIXERS)
+def test_slow_noise_beside_an_unknown_white_noise_is_not_written(tool: str) -> None:
+    fresh = fixed(tool, None, SLOW).text
+    made = fixed_for(tool, fresh, {"findings": [SLOW]})
+    assert not made.changed
+    assert made.not_held == ["gyro_slow_noise: how much of its Allan deviation is white noise is not known"]
+
+
+@pytest.mark.parametrize("tool", FIXERS)
+def test_where_the_recording_has_white_noise_only_slow_noise_is_taken_out(tool: str) -> None:
+    """kalibr accepts no file without slow noise."""
+    less = finding("gyro_slow_noise", "gyro", {"allan_deviation_100s": ([1e-5] * 3, [3e-5] * 3)}, "too_large")
+    fresh = fixed(tool, None, SLOW).text
+    made = fixed(tool, fresh, less)
+    if tool == "kalibr":
+        assert made.not_held == [
+            "gyro_slow_noise: the recording shows none, and kalibr wants a random walk above 0"
+        ]
+    else:
+        assert not made.not_held
+        assert fixed(tool, made.text, SLOW).text == fixed(tool, fresh, SLOW).text != made.text
+
+
+def test_imusensor_s_bias_instability_is_slow_noise_that_is_left() -> None:
+    text = "a = imuSensor();\na.Gyroscope.BiasInstability = 1e-5;\n"
+    made = fixed("imusensor", text, SLOW)
+    assert not made.changed and "BiasInstability" in made.not_held[0]
+
+
 def test_gnss_ins_sim_changes_the_numbers_of_its_dictionary_only() -> None:
     text = (
         "import numpy as np\nD = 3  # mine\nimu_err = {'gyro_b': np.array([0.0, 0.0, 0.0]),  # bias\n"
         "  'gyro_arw': np.array([0.25, 0.25, 0.25]) * 1.0, 'accel_b': [0, 0, 0],\n"
-        "  'accel_vrw': np.array([0.03]*3), 'gyro_b_stability': np.array([3.5, 3.5, 3.5])}\n"
+        "  'accel_vrw': np.array([0.03]*3), 'gyro_b_stability': np.array([3.5, 3.5, 3.5]),\n"
+        "  'gyro_b_corr': [100.0, 100.0, 100.0]}\n"
     )
     made = fixed("gnss-ins-sim", text, BIAS, WHITE, SLOW)
     names: dict[str, Any] = {}
     exec(made.text, names)
     np.testing.assert_allclose(np.deg2rad(names["imu_err"]["gyro_b"]) / 3600.0, [0.02, 0.0, 0.02], atol=1e-12)
-    np.testing.assert_allclose(names["imu_err"]["gyro_b_stability"], [10.5] * 3)
+    # The Allan variance at one correlation time of a Gauss-Markov process is e^-1 (4 - e^-1) - 1 = 0.336.
+    spread = np.deg2rad(names["imu_err"]["gyro_b_stability"]) / 3600.0
+    np.testing.assert_allclose(spread * np.sqrt(np.exp(-1.0) * (4.0 - np.exp(-1.0)) - 1.0), SLOW_ALONE)
     assert "# mine" in made.text and "# bias" in made.text
     assert made.not_held == [
         "noise_level (accelerometer): accel_vrw is [0.03] * 3, which is not made of plain numbers"
