@@ -68,7 +68,7 @@ class SensorNoise:
         )
 
     def slow_deviation(self, lag: float = LAG_S) -> Array:
-        """Return the Allan deviation (3,) of all slow noise, without the white, at an averaging time `lag`, s.
+        """Return the Allan deviation (3,) of all slow noise, without the white, at the time `lag`, s.
 
         Allan variances by IEEE Std 952-1997, Annex C: K^2 tau / 3 of a random walk, B^2 2 ln 2 / pi of
         flicker noise (C.16), and that of a first-order Gauss-Markov process.
@@ -90,7 +90,7 @@ def gauss_markov_allan(tau: float | Array, lag: float = LAG_S) -> Array:
     """
     x = lag / np.asarray(tau, dtype=np.float64)
     exact = (2.0 / x) * (1.0 - (3.0 - 4.0 * np.exp(-x) + np.exp(-2.0 * x)) / (2.0 * x))
-    # With a time much longer than the lag it is as good as a random walk, and the exact form loses its digits.
+    # With a much longer time it is as good as a random walk, and the exact form loses its digits.
     return np.asarray(np.where(x < 1e-3, 2.0 * x / 3.0 - x**2 / 2.0, exact))
 
 

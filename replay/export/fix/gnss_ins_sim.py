@@ -3,9 +3,9 @@
 Aceinna/gnss-ins-sim, gnss_ins_sim/sim/imu_model.py: gyro_b and gyro_b_stability in deg/h, gyro_arw in
 deg/sqrt(h), accel_b and accel_b_stability in m/s^2, accel_vrw in m/s/sqrt(h), three numbers each.
 pathgen/pathgen.py, acc_gen and gyro_gen: measured = true + b + drift + noise; a sample's standard deviation
-is the walk's density times sqrt(rate), and the true force is the specific force. The drift (bias_drift) is a
-Gauss-Markov process of the standard deviation b_stability and the time gyro_b_corr or accel_b_corr, s; without
-such a time it is white. Only these numbers are changed in the script's text.
+is the walk's density times sqrt(rate), and the true force is the specific force. bias_drift: the drift is a
+Gauss-Markov process with the deviation gyro_b_stability or accel_b_stability and the time gyro_b_corr
+or accel_b_corr, s; without such a time it is white. Only these numbers are changed in the script's text.
 """
 
 from __future__ import annotations
