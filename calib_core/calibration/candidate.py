@@ -33,7 +33,7 @@ from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope import fit as gyroscope
-from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests, update_bias
+from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests, rotation_admitted, update_bias
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, Parameters
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
@@ -212,6 +212,16 @@ def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> Cali
     n = estimate.n_rests
     reason = f"gyroscope bias measured on {n} rest{'' if n == 1 else 's'}"
     return replace(record, gyroscope=part, acceptance=Acceptance(how="zeroing", reason=reason))
+
+
+def with_rotation_bound(record: CalibrationRecord, held: Pool) -> CalibrationRecord:
+    """Return a record whose bound on rotation in the gyroscope's bias goes by all rests held, too."""
+    part, steady = record.gyroscope, compensated(held, record).rests
+    if part is None or part.rotation_admitted is None or not any(rest.rate is not None for rest in steady):
+        return record
+    own = np.nan_to_num(part.rotation_admitted, nan=np.inf)
+    bound = _nan_where_unbounded(rotation_admitted(part.bias, own, steady))
+    return replace(record, gyroscope=replace(part, rotation_admitted=bound))
 
 
 def inherit_scale(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:

@@ -23,6 +23,7 @@ from stillcal.calib_core.calibration.candidate import (
     Candidate,
     fit_candidate,
     inherit_scale,
+    with_rotation_bound,
     with_updated_bias,
 )
 from stillcal.calib_core.calibration.constancy import LateChange, Shape, find_late_change
@@ -359,6 +360,7 @@ class CalibrationPolicy:
     def _publish_bias(self, updated: CalibrationRecord | None, t: float) -> None:
         if updated is not None:
             state = self._state
+            updated = with_rotation_bound(updated, self._rests_since(None))
             state.record, state.suspected = updated, _without(state.suspected, Sensor.GYROSCOPE)
             state.counters.zeroings += 1
             self._actions.append(Publish(t, updated, updated.acceptance.reason))
@@ -555,7 +557,7 @@ class CalibrationPolicy:
         state.record, state.checked, state.degraded, state.refusal = record, t, False, None
         state.centre, state.suspected = None, {}
         if record.gyroscope is not None:
-            state.record = self._refined(record, t)
+            state.record = with_rotation_bound(self._refined(record, t), self._rests_since(None))
         self._followed(t, fresh=True)
         self._publish(t, occasion)
 

@@ -94,6 +94,17 @@ def update_bias(
     return SensorModel.of(model.scale, fresh.bias), fresh
 
 
+def rotation_admitted(bias: Array, own_bound: Array, others: Sequence[RestState]) -> Array:
+    """Return the error that undetected rotation may have put into a bias (3,), rad/s; inf where unbounded.
+
+    own_bound: (3,) rad/s, by the rests that the bias was measured on, which may be of one attitude. others:
+    rests in as many attitudes as are known, corrected for what the bias follows. Rotation cannot have moved
+    the bias from theirs by more than it is away from that.
+    """
+    whole = bias_from_rests(others)
+    return np.minimum(own_bound, whole.undetected_rotation_bound + np.abs(bias - whole.bias))
+
+
 def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:
     """Return the weighted mean of both; rotation cannot have moved the bias by more than it moved."""
     prior = known.covariance + np.diag(known.wander**2)

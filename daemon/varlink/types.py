@@ -20,8 +20,9 @@ class SensorCalibration:
     rms_residual: m/s^2 of rests' norms, or rad of turns. zeroed_age_s: since the bias was measured alone.
     most_helpful_attitude: how to lay the phone so that the accelerometer's would gain most. provisional: the
     bias was measured right after the start, and no later rest has confirmed it. slow_rotation_deg_per_h:
-    of the gyroscope, per axis, how large a bias error slow rotation in the rests may have caused unseen;
-    absent where nothing bounds it. bias_now, bias_uncertainty_now (1 sd): at the calibration's temperature_c,
+    of the gyroscope, per axis, how large a bias error slow rotation in the rests may have caused unseen, by
+    all rests held; not part of bias_uncertainty and bias_uncertainty_now (1 deg/h is 4.85e-6 rad/s); absent
+    where nothing bounds it. bias_now, bias_uncertainty_now (1 sd): at the calibration's temperature_c,
     at this moment, by what was learnt of temperature and of the wander of this phone's bias; where no
     temperature is known the uncertainty is larger. learnt_min_c, learnt_max_c: the span of temperatures
     learnt from; beyond it the uncertainty grows. follows_temperature: whether a term for temperature is in

@@ -129,8 +129,8 @@ def _sensor(table: Table, part: Answer, name: str, shown: tuple[float, str, int]
 def _slow_rotation(gyroscope: Answer) -> str:
     bound = gyroscope.get("slow_rotation_deg_per_h")
     if bound is None:
-        return "slow rotation may be in the gyro. bias: no bound yet"
-    return f"slow rotation: up to {max(bound):.2g} °/h may be in the gyro. bias"
+        return "± leaves out slow rotation at rest, of which nothing is known yet"
+    return f"± leaves out slow rotation at rest: up to {max(bound):.2g} °/h more"
 
 
 def _fit(calibration: Answer) -> str:

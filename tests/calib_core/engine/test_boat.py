@@ -80,6 +80,20 @@ def test_at_sea_the_last_good_calibration_stays_and_its_age_is_known(roll: float
     assert state.record.gyroscope.bias == pytest.approx(RATE_BIAS, abs=1e-4)
 
 
+@pytest.mark.parametrize("spin", [0.0, 1e-3])
+def test_an_hour_that_may_have_turned_slowly_is_held_against_earlier_attitudes(spin: float) -> None:
+    """Flat on a table nothing in the hour itself bounds rotation about the vertical."""
+    engine, t = calibrated(EngineSettings(ScheduleSettings(watch="continuous")))
+    for begin in np.arange(t + 5.0, t + 4200.0, 60.0):
+        a = begin + np.arange(round(60.0 * RATE)) / RATE
+        engine.feed(*blocks(a, np.tile(FACES[2], (len(a), 1)), np.tile([0.0, 0.0, spin], (len(a), 1))))
+    record = engine.state.record
+    assert record is not None and record.gyroscope is not None
+    moved, bound = record.gyroscope.bias - RATE_BIAS, record.gyroscope.rotation_admitted
+    assert moved[2] == pytest.approx(spin, abs=1e-4)
+    assert bound is not None and abs(moved[2]) < 1.96 * bound[2] and bound[2] < spin + 2e-4
+
+
 def test_over_a_time_asleep_no_rest_and_no_turn_is_joined() -> None:
     """Laid on one face, suspended for six hours, found on another: two rests, and no rotation measured."""
     engine = Engine(EngineSettings(ScheduleSettings(watch="continuous")))

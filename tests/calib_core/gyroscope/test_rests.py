@@ -12,7 +12,7 @@ from msgspec import structs
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.gyroscope.bias import bias_from_rests, update_bias
+from stillcal.calib_core.gyroscope.bias import bias_from_rests, rotation_admitted, update_bias
 from stillcal.calib_core.gyroscope.rotation_segment import (
     NoSegment,
     RotationSegment,
@@ -108,6 +108,16 @@ def test_what_all_rests_of_an_attitude_share_is_within_the_bound() -> None:
         sd = np.hypot(np.sqrt(np.diag(found.covariance)), found.undetected_rotation_bound)
         inside.append(np.abs(found.bias - BIAS) < 1.96 * sd)
     assert np.mean(inside) > 0.9
+
+
+@pytest.mark.parametrize("spin", [0.0, 5e-4])
+def test_rests_of_earlier_attitudes_bound_what_spin_moved_the_bias_by(spin: float) -> None:
+    """An hour in one attitude admits its spin; against rests in others, no more than the bias has moved."""
+    rng, up = np.random.default_rng(7), np.array([0.0, 0.0, 1.0])
+    hour = bias_from_rests([rest(1e4 + 60.0 * k, up, BIAS + spin * up, spin=5e-3) for k in range(60)])
+    admitted = rotation_admitted(hour.bias, hour.undetected_rotation_bound, rests(rng, 40))
+    assert hour.undetected_rotation_bound[2] == pytest.approx(5e-3, rel=0.01)
+    assert spin <= admitted[2] < spin + 4e-5
 
 
 def test_unbounded_spin_in_one_attitude_leaves_that_axis_open() -> None:
