@@ -32,6 +32,7 @@ from stillcal.calib_core.engine.schedule import (
     Occasion,
     early_check_due,
     first_of_use,
+    first_without_charger,
     next_on_grid,
     resumed,
     review_soon,
@@ -313,16 +314,11 @@ class Engine:
         state.check_due = state.record is not None
         state.next_check = next_on_grid(state.began or t, interval, resumed(state, t))
         self._policy.check(t)
-        if self._waits_in_vain(t):
-            self._policy.calibrate(t, Occasion.UNPLUGGED)
+        occasion = first_without_charger(state, t, self.settings.schedule)
+        enough = state.attitudes >= self.settings.calibrate.accelerometer.prior_attitudes
+        if occasion is not None and enough:
+            self._policy.calibrate(t, occasion)
         self._plan(t)
-
-    def _waits_in_vain(self, t: float) -> bool:
-        """Whether a first calibration may be possible at t (s), but no charger has been heard of for long."""
-        state, settings = self._state, self.settings
-        long = state.began is not None and t - state.began >= settings.schedule.recalibrate_interval_s
-        enough = state.attitudes >= settings.calibrate.accelerometer.prior_attitudes
-        return state.charging is None and not state.complete and long and enough
 
     def _do_review(self, t: float) -> None:
         state = self._state

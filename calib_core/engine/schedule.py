@@ -19,6 +19,9 @@ from stillcal.calib_core.streams.samples import Sensor
 _LEAST_EARLY_S = 300.0
 """s: two checks are at least so far apart."""
 
+UNCHARGED_INTERVALS = 4
+"""Intervals between calibrations, of six hours usually: nearly all phones are charged once a day."""
+
 _LONGEST_GAP_S = 86400.0
 """A day: through longer gaps deadlines are left out, so that years between two stamps cost no time."""
 
@@ -64,6 +67,7 @@ class Occasion(StrEnum):
 
     CHARGING = "charging"
     UNPLUGGED = "no charger was ever reported"
+    UNCHARGED = "off the charger for long"
     END = "the recording ended"
     ASKED = "asked for"
 
@@ -97,6 +101,21 @@ def calibration_due(standing: CalibrationStatus, occasion: Occasion, settings: S
     if not standing.complete or occasion is Occasion.END:
         return True
     return standing.since_try >= least_wait(standing.degraded, settings)
+
+
+def first_without_charger(state: EngineState, t: float, settings: ScheduleSettings) -> Occasion | None:
+    """Return on what occasion a phone that is not charged gets its first calibration at t (s), None for none.
+
+    Where no charger is ever told of, that is after one interval between calibrations; where the phone is
+    known to be off it, after UNCHARGED_INTERVALS.
+    """
+    if state.complete or state.charging or state.began is None:
+        return None
+    if state.charging is None:
+        return Occasion.UNPLUGGED if t - state.began >= settings.recalibrate_interval_s else None
+    since = float(state.charger.t[-1]) if state.charger.t.size else state.began
+    long = t - since >= UNCHARGED_INTERVALS * settings.recalibrate_interval_s
+    return Occasion.UNCHARGED if long else None
 
 
 def least_wait(degraded: bool, settings: ScheduleSettings) -> float:

@@ -100,6 +100,17 @@ def test_without_word_of_a_charger_a_first_calibration_comes_after_six_hours() -
     assert day.bias_error(day.stored[0]) < 0.02
 
 
+def test_off_the_charger_for_a_day_a_first_calibration_comes_all_the_same() -> None:
+    """The paper prefers the charger, and phones are charged daily; one that is not has to wait no longer."""
+    charged = Rest(duration_s=30.0, charging=True)
+    day = Day(charged, Poses(count=12, rest_s=(5.0, 6.0)), Rest(duration_s=1100.0)).lived()
+    (unplugged,) = (e.t for e in day.events if isinstance(e, Charging) and not e.on and e.t > 20.0)
+    first = day.stored[0]
+    assert unplugged + 4 * 240.0 <= first.t <= unplugged + 4 * 240.0 + 120.0  # QUICK's day and its hour
+    assert first.record.acceptance.evidence["occasion"] == "off the charger for long"
+    assert day.bias_error(first) < 0.02
+
+
 def test_checks_stay_on_their_grid_across_twelve_hours_without_samples() -> None:
     day = Day(
         Poses(count=20, rest_s=(6.0, 8.0), charging=True), Table(duration_s=1500.0, rest_s=(10.0, 60.0))
