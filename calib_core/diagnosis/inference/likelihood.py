@@ -409,22 +409,22 @@ def _least(view: Reduced, h: int) -> Array:
     if not seen.all():
         gram, xy = gram[:, seen][:, :, seen], xy[:, seen]
     ridge = 1e-9 * (np.einsum("gii->g", gram)[:, None, None] + 1e-300) * np.eye(gram.shape[1])
-    return np.asarray(np.maximum(view.left - _explained(gram + ridge, xy), 0.0))
+    return np.asarray(np.maximum(view.left - explained(gram + ridge, xy), 0.0))
 
 
-def _explained(gram: Array, pull: Array) -> Array:
+def explained(gram: Array, pull: Array) -> Array:
     """Return the sum of squares (G,) that columns explain. gram: (G, k, k); pull: (G, k), with the data.
 
     Columns are eliminated one by one, under all shapes at once: a solver takes the shapes one by one.
     """
     rest, target = np.moveaxis(gram, 0, -1).copy(), pull.T.copy()
-    explained = np.zeros(len(gram))
+    total = np.zeros(len(gram))
     for i in range(len(target)):
-        explained += target[i] ** 2 / rest[i, i]
+        total += target[i] ** 2 / rest[i, i]
         share = rest[i + 1 :, i] / rest[i, i]
         target[i + 1 :] -= share * target[i]
         rest[i + 1 :, i + 1 :] -= share[:, None] * rest[i, i + 1 :]
-    return explained
+    return total
 
 
 def fit_hypothesis(views: Sequence[Reduced], h: int, top: Maximum | None = None) -> Fit:

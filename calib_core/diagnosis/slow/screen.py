@@ -12,7 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms, projected, stacked
+from stillcal.calib_core.diagnosis.inference.likelihood import (
+    Reduced,
+    explained,
+    joint,
+    log_terms,
+    projected,
+    stacked,
+)
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS, Dictionary, Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
@@ -171,5 +178,4 @@ def _least_squares(gram: Array, target: Array) -> Array:
     """Gain (K,) of K least-squares fits whose parameters have unit prior variance."""
     # Beside the sums of a recording without noise one is lost: 1e-12 of them keeps the system solvable.
     prior = 1.0 + 1e-12 * np.trace(gram, axis1=1, axis2=2)
-    solved = np.linalg.solve(gram + prior[:, None, None] * np.eye(gram.shape[1]), target[:, :, None])[:, :, 0]
-    return np.asarray(0.5 * np.einsum("ki,ki->k", target, solved))
+    return 0.5 * explained(gram + prior[:, None, None] * np.eye(gram.shape[1]), target)
