@@ -11,15 +11,14 @@ import contextlib
 import copy
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from stillcal.calib_core.calibration.fingerprint import is_other_phone
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.engine.actions import Action, Diagnose, Forget, Log, Publish, Reject
+from stillcal.calib_core.engine.actions import Log, Publish, Reject
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import TryAgainError
@@ -28,23 +27,20 @@ from stillcal.daemon.publish.chip import keeping_chip, memory_path
 from stillcal.daemon.publish.publishing import Publisher, publishing
 from stillcal.daemon.publish.targets import publishers
 from stillcal.daemon.service import saved_state
+from stillcal.daemon.service.engine_actions import EngineActions
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
-from stillcal.daemon.service.live_stream import Live, LiveStream
-from stillcal.daemon.service.phone_session import PhoneSession, Recorded
+from stillcal.daemon.service.live_stream import Live
+from stillcal.daemon.service.phone_session import PhoneSession
+from stillcal.daemon.service.sample_readers import SampleReaders
 from stillcal.daemon.service.saved_state import SavedState
 from stillcal.daemon.service.saving import Saving
 from stillcal.daemon.service.self_diagnosis import Night, diagnose
-from stillcal.daemon.service.storage import Storage, with_provenance
-from stillcal.daemon.service.subscribers import (
-    CalibrationSubscribers,
-    Notification,
-    Subscriber,
-    Subscribers,
-)
+from stillcal.daemon.service.storage import Storage
+from stillcal.daemon.service.subscribers import CalibrationSubscribers, Notification, Subscriber
 from stillcal.daemon.settings import Settings, SettingsError, store_path
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.sources.open import source_of
-from stillcal.daemon.store.document import PASSING, StoreDocument
+from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.system import log
 from stillcal.daemon.system.clock import Clock, host_time
@@ -53,8 +49,6 @@ from stillcal.daemon.system.log import say
 from stillcal.daemon.system.systemd import Notifier
 from stillcal.daemon.varlink.address import socket_path
 from stillcal.daemon.varlink.server import Server, serving
-
-T = TypeVar("T")
 
 END_S, LAST_SAMPLES_S = 1.2, 0.5
 """A clean stop waits at most so long for everything together, and of that for the phone's last samples, s.
@@ -67,9 +61,6 @@ HEARTBEAT_S = 10.0
 
 LOOK_FOR_NIGHT_S = 60.0
 """Time between two looks whether a self-diagnosis is due, s."""
-
-REMEDY = "run `stillcal record day.csv.gz --hours 24`, then `stillcal diagnose day.csv.gz`"
-"""Advice where recalibrating does not help."""
 
 STUCK_SHARE = 0.5
 """An engine job that takes longer than this share of the watchdog's time counts as stuck."""
@@ -104,13 +95,17 @@ class Service:
         self.storage = Storage(store, lambda note: say("warning", "store", note))
         self.saved = SavedState(EngineState())
         self.subscribers = CalibrationSubscribers()
-        self.recorders = Subscribers[Recorded]()
-        self.live = LiveStream()
-        self._keeping_on = 0
+        self.readers = SampleReaders(self._send_commands)
         self._publishers = list(publishers(settings.publish))
         self._started_at = self._clock()
         self._stop = asyncio.Event()
         self.saving = Saving(self.storage, self._encoded, clock)
+        self.actions = EngineActions(
+            self.storage,
+            self.saving,
+            self.subscribers,
+            lambda: (self.settings.source.port, self.saved.device),
+        )
         self._server: Server | None = None
 
     def open(self) -> None:
@@ -209,7 +204,7 @@ class Service:
                     self.saving.hold(),
                     self._sending_heartbeats(),
                     self._diagnosing_at_night(),
-                    *(publishing(publisher, self._for_publisher) for publisher in self._publishers),
+                    *(publishing(publisher, self._listening) for publisher in self._publishers),
                     *([self._keeping_chip()] if "iio" in self.settings.publish.to else []),
                 )
             ]
@@ -275,7 +270,7 @@ class Service:
             say("warning", "self-diagnosis", report.trouble, t=now, **took)
         else:
             say("info", "self-diagnosis", report.summary, t=now, **took)
-            self.act((await self.engine_thread.consider(report.read())).actions)
+            self.actions.carry_out((await self.engine_thread.consider(report.read())).actions)
         self.saved.night = report
         self.saving.changed()
 
@@ -305,39 +300,7 @@ class Service:
         self.storage.close()
         say("info", "stopped", "state saved" if saved else "", calibration=self.current_id)
 
-    # What the engine wants done
-
-    def act(self, actions: list[Action]) -> None:
-        """Carry out the engine's actions without waiting: log, store, notify."""
-        for action in actions:
-            if isinstance(action, Log):
-                say(str(action.level), action.what, action.why, t=action.t, **action.fields)
-                self.saving.changed()
-            elif isinstance(action, Diagnose):
-                say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
-            elif isinstance(action, Publish | Reject | Forget):
-                self._enqueue(action)
-
-    def _enqueue(self, action: Publish | Reject | Forget) -> None:
-        if isinstance(action, Publish):
-            self._say_whose(action.record)
-        self.storage.enqueue(with_provenance(action, self.settings.source.port, self.saved.device))
-        self.saving.changed(at_once=action.record.acceptance.how not in PASSING)
-        self.subscribers.announce(action)
-
-    def _say_whose(self, record: CalibrationRecord) -> None:
-        """Log where bias and scale are another phone's than those in use, and of which calibration before."""
-        document = self.storage.document
-        if not is_other_phone(record, document.current):
-            return
-        before = (
-            entry.calibration for entry in reversed(document.history) if entry.calibration.accelerometer
-        )
-        again = next((c.id for c in before if not is_other_phone(record, c)), None)
-        why = "bias and scale are not those of the phone before" + (
-            ", but of an earlier one" if again else ""
-        )
-        say("warning", "another phone", why, calibration=record.id, earlier=again)
+    # Requests
 
     async def calibrate(self) -> CalibrationRecord:
         """Try a full calibration now. Raises ValueError with the reason where there is no better one."""
@@ -352,12 +315,12 @@ class Service:
     async def lay_faces(self, stop: bool) -> None:
         """Have the phone laid on its six faces, with its sensors on meanwhile; or stop that."""
         thread = self.engine_thread
-        self.act((await (thread.stop_faces() if stop else thread.lay_faces())).actions)
-        self.session.send_commands()
+        self.actions.carry_out((await (thread.stop_faces() if stop else thread.lay_faces())).actions)
+        self._send_commands()
 
     def _outcome(self, reply: EngineReply, otherwise: str) -> CalibrationRecord:
         """Carry out a reply and return its calibration. Raises ValueError where it has none."""
-        self.act(reply.actions)
+        self.actions.carry_out(reply.actions)
         for action in reply.actions:
             if isinstance(action, Publish):
                 return action.record
@@ -425,40 +388,18 @@ class Service:
             self.engine_thread,
             self.saved,
             rate_hz,
-            self.act,
-            recorders=self.recorders,
-            live=self.live,
-            keep_on=lambda: self._keeping_on > 0,
+            self.actions.carry_out,
+            readers=self.readers,
             clock=self._clock,
         )
 
-    def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
-        """Subscribe to raw samples and events while the block lasts.
-
-        sparing: leave the sensors to the engine; otherwise they stay on meanwhile.
-        """
-        return self._subscribed(self.recorders.subscribe(), sparing)
-
-    def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
-        """Subscribe to corrected samples, which may gather for `patience_s`; sparing: as in `recording`."""
-        return self._subscribed(self.live.subscribe(patience_s), sparing)
-
-    def _for_publisher(self, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
-        return self.streaming(sparing=False, patience_s=patience_s)
-
-    @contextlib.contextmanager
-    def _subscribed(
-        self, subscription: tuple[Subscriber[T], Callable[[], None]], sparing: bool
-    ) -> Iterator[Subscriber[T]]:
-        subscriber, unsubscribe = subscription
-        self._keeping_on += not sparing
+    def _send_commands(self) -> None:
+        """Tell the phone, whichever it is now, what is wanted of its sensors."""
         self.session.send_commands()
-        try:
-            yield subscriber
-        finally:
-            unsubscribe()
-            self._keeping_on -= not sparing
-            self.session.send_commands()
+
+    def _listening(self, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
+        """Subscribe to corrected samples for a publisher."""
+        return self.readers.streaming(sparing=False, patience_s=patience_s)
 
     @property
     def claims(self) -> Mapping[str, Any]:

@@ -22,10 +22,8 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.duty_commands import DutyCommands, credit
 from stillcal.daemon.service.engine_thread import EngineThread
-from stillcal.daemon.service.live_stream import LiveStream
-from stillcal.daemon.service.phone_clock import Timed
+from stillcal.daemon.service.sample_readers import SampleReaders
 from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.subscribers import Subscribers
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
@@ -44,9 +42,6 @@ LATE_S = 0.3
 DEVICE_CHARACTERS = 200
 """Of a phone's name that are looked at."""
 
-Recorded = Timed | Hello
-"""What a recording of the phone is made of."""
-
 IMPOSSIBLE_S = 10.0
 """Sensor time beyond what has passed that is told in the log, s: two clocks may differ a little."""
 
@@ -60,9 +55,8 @@ SILENCE_S = 10.0
 class PhoneSession:
     """The session on one source.
 
-    saved: what outlives the daemon. act: takes the engine's actions. recorders: are given all samples and
-    events. live: is given all samples, and corrects them for who listens. keep_on: whether somebody else than
-    the engine wants the sensors on.
+    saved: what outlives the daemon. act: takes the engine's actions. readers: are given all samples, raw with
+    the events or corrected; the sensors stay on where they want it.
     """
 
     def __init__(
@@ -73,15 +67,12 @@ class PhoneSession:
         rate_hz: float,
         act: Callable[[list[Action]], None],
         *,
-        recorders: Subscribers[Recorded] | None = None,
-        live: LiveStream | None = None,
-        keep_on: Callable[[], bool] = lambda: False,
+        readers: SampleReaders | None = None,
         clock: Clock = host_time,
         cpu_time: Clock = time.process_time,
     ) -> None:
         self.source = source
-        self._recorders, self._keep_on = Subscribers[Recorded]() if recorders is None else recorders, keep_on
-        self._live = LiveStream() if live is None else live
+        self._readers = SampleReaders() if readers is None else readers
         self._fresh: list[Samples] = []
         self.rate_hz = rate_hz
         self._engine_thread, self._saved, self._act = engine_thread, saved, act
@@ -105,7 +96,7 @@ class PhoneSession:
             if not self._may_gather(records):
                 await self._feed_engine()
             if records and not self._in_step:
-                await self.source.let_gather(min(BATCH_S, self._live.patience_s))
+                await self.source.let_gather(min(BATCH_S, self._readers.live.patience_s))
 
     def _may_gather(self, records: list[Record]) -> bool:
         """Return whether these records may wait for the engine: samples, while no decision is due."""
@@ -210,7 +201,7 @@ class PhoneSession:
             self._fresh.append(item)
         if item is not None:
             self._items.append(item)
-            self._recorders.notify(item)
+            self._readers.recorders.notify(item)
 
     def _clock_jumped(self, what: str, reason: str) -> None:
         """Tell log and listeners that the phone's time stamps do not continue.
@@ -229,11 +220,11 @@ class PhoneSession:
     def _send_live(self) -> None:
         fresh, self._fresh = self._fresh, []
         view = self._engine_thread.view
-        self._live.take(fresh, view.record, self._clock(), view.thermometer, view.charger)
+        self._readers.live.take(fresh, view.record, self._clock(), view.thermometer, view.charger)
 
     def _interrupt_live(self, reason: str) -> None:
         self._send_live()
-        self._live.interrupt(reason)
+        self._readers.live.interrupt(reason)
 
     def _with_temperature(self, samples: Samples) -> Samples:
         """Add the thermometer's last reading to samples without a temperature."""
@@ -256,7 +247,7 @@ class PhoneSession:
     async def _on_hello(self, hello: Hello) -> None:
         await self._check_identity(device_name(hello))
         self.hello, self._in_step = hello, hello.flow == "credit"
-        self._recorders.notify(hello)
+        self._readers.recorders.notify(hello)
         self._commands.forget()
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
@@ -334,7 +325,7 @@ class PhoneSession:
             self.source.send(type(command)(clock.phone(command.until)))
 
     def _wanted(self) -> Sense | Sleep:
-        return Sense(math.inf) if self._keep_on() else self._engine_thread.view.want
+        return Sense(math.inf) if self._readers.keep_on else self._engine_thread.view.want
 
     def _answer_stop(self, record: Tick | End) -> None:
         """Answer a stop: credit for a phone that waits for it, sleep at the end of a stream."""

@@ -12,7 +12,7 @@ import numpy as np
 from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.service.live_stream import Interruption, Live
-from stillcal.daemon.service.phone_session import Recorded
+from stillcal.daemon.service.sample_readers import Recorded
 from stillcal.daemon.service.subscribers import BACKLOG
 from stillcal.daemon.wire.messages import Hello
 

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.daemon.service.engine_thread import View
-from stillcal.daemon.service.live_stream import Live
-from stillcal.daemon.service.phone_session import Recorded
+from stillcal.daemon.service.sample_readers import SampleReaders
 from stillcal.daemon.service.saved_state import SavedState
-from stillcal.daemon.service.subscribers import CalibrationSubscribers, Subscriber
+from stillcal.daemon.service.subscribers import CalibrationSubscribers
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import StoreDocument
 
@@ -21,6 +19,7 @@ class Daemon(Protocol):
 
     saved: SavedState
     subscribers: CalibrationSubscribers
+    readers: SampleReaders
 
     @property
     def view(self) -> View:
@@ -49,12 +48,6 @@ class Daemon(Protocol):
     @property
     def claims(self) -> Mapping[str, Any]:
         """What the phone's maker claims of it."""
-
-    def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
-        """Subscribe to samples and events while the block lasts."""
-
-    def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
-        """Subscribe to corrected samples while the block lasts."""
 
     @property
     def uptime_s(self) -> float:

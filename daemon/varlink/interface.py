@@ -189,7 +189,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         is sent. Only for root and the daemon's own user.
         """
         _require_right()
-        with self._daemon.recording(sparing) as subscriber:
+        with self._daemon.readers.recording(sparing) as subscriber:
             CALLER.get().on_disconnect(subscriber)
             yield blocks.record_begun(self._daemon.claims)
             while (item := await subscriber.queue.get()) is not None:
@@ -211,7 +211,7 @@ class CalibrationInterface(VarlinkInterface, name=INTERFACE):
         """
         if not 0.0 <= batch_s <= 1.0:
             raise InvalidParameter(parameter="batch_s")
-        with self._daemon.streaming(sparing, batch_s) as subscriber:
+        with self._daemon.readers.streaming(sparing, batch_s) as subscriber:
             CALLER.get().on_disconnect(subscriber)
             yield blocks.stream_begun()
             while (item := await subscriber.queue.get()) is not None:

@@ -52,7 +52,7 @@ def test_it_prints_every_corrected_sample(
                 *words, str(folder / "socket"), stdout=subprocess.PIPE, stderr=subprocess.PIPE
             )
             reading = asyncio.create_task(program.communicate())
-            await until(lambda: len(service.live) == 1)
+            await until(lambda: len(service.readers.live) == 1)
             await serve_phone(lab[:1], {}, LinkSettings(speed=60.0), folder / "tty")
             end = float(lab[0].accelerometer.t[-1])
             await until(lambda: service.saved.clock.newest >= end - 1e-6)

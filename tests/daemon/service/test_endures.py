@@ -141,7 +141,7 @@ def test_a_calibration_that_cannot_be_written_is_left_out_and_the_next_one_is_ke
     async def test() -> None:
         async with running(given_in(tmp_path)) as service:
             bad = replace(make_record(1), fitted_at=math.nan)
-            service.act([Publish(1.0, bad, "hostile"), Publish(2.0, make_record(2), "good")])
+            service.actions.carry_out([Publish(1.0, bad, "hostile"), Publish(2.0, make_record(2), "good")])
             await until(lambda: service.current_id == make_record(2).id)
             assert service.current_id == make_record(2).id
 

@@ -207,7 +207,7 @@ def test_a_phone_that_comes_back_under_the_same_name_is_known_by_bias_and_scale(
         async with answering(tmp_path) as service:
             for record in (first, other, again):
                 caplog.clear()
-                service.act([Publish(1.0, record, "newer")])
+                service.actions.carry_out([Publish(1.0, record, "newer")])
                 await until(lambda record=record: service.current_id == record.id)
                 said = [r.getMessage() for r in caplog.records if r.getMessage().startswith("another phone")]
                 assert len(said) == (record is not first)

@@ -129,7 +129,7 @@ def test_stamps_that_do_not_continue_are_logged_and_interrupt_the_live_samples(
     t: float, what: str | None, reason: str | None, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
-        listener, _ = session._live.subscribe(0.0)
+        listener, _ = session._readers.live.subscribe(0.0)
         await session._on_record(Samples.checked(Sensor.ACCELEROMETER, [t, t + 1.0], np.zeros((2, 3))))
         session._send_live()
         heard = [listener.queue.get_nowait() for _ in range(listener.queue.qsize())]
@@ -143,7 +143,7 @@ def test_two_sensors_with_clocks_of_their_own_are_told_once(caplog: pytest.LogCa
     """Every block is a jump then: each was logged, and cut the live samples."""
 
     async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
-        listener, _ = session._live.subscribe(0.0)
+        listener, _ = session._readers.live.subscribe(0.0)
         for k in range(10):
             clock.now += 1.0
             for sensor, since in ((Sensor.ACCELEROMETER, 0.0), (Sensor.GYROSCOPE, 1.7e9)):

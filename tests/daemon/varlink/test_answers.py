@@ -255,7 +255,9 @@ def test_changes_are_told_until_the_daemon_stops(folder: Path, make_record: Any)
             listening = asyncio.create_task(asyncio.to_thread(listen, told))
             while not len(service.subscribers):
                 await asyncio.sleep(0.001)
-            service.act([Publish(5.0, make_record(2), "better"), Reject(6.0, make_record(3), "not better")])
+            service.actions.carry_out(
+                [Publish(5.0, make_record(2), "better"), Reject(6.0, make_record(3), "not better")]
+            )
         await listening
         assert [e["what"] for e in told] == ["current", "calibrated", "rejected", "ended"]
         assert told[1]["calibration"]["id"] == make_record(2).id and told[1]["reason"] == "better"

@@ -52,9 +52,9 @@ class Listener:
 
 
 async def listening(folder: Path, service: Service, **parameters: Any) -> Listener:
-    before = len(service.live)
+    before = len(service.readers.live)
     listener = Listener(await connected(folder), **parameters)
-    await until(lambda: len(service.live) > before)
+    await until(lambda: len(service.readers.live) > before)
     return listener
 
 
@@ -148,9 +148,9 @@ def test_a_reader_that_does_not_read_is_told_and_the_others_miss_nothing(
             deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             deaf.connect(str(folder / "socket"))
             deaf.sendall(json.dumps({"method": f"{NAME}.Stream", "more": True}).encode() + b"\0")
-            await until(lambda: len(service.live) == 2)
+            await until(lambda: len(service.readers.live) == 2)
             await played(service, folder, lab, len(lab), speed=600.0)
-            assert len(service.live) == 1
+            assert len(service.readers.live) == 1
             status = await ask(await connected(folder), "GetStatus")
             assert "parameters" in status
             got.append(len(good.rows(Sensor.ACCELEROMETER)))
@@ -172,8 +172,8 @@ def test_a_new_client_takes_the_place_of_the_longest_listening_one(folder: Path)
             await listening(folder, service)
             assert "parameters" in await ask(await connected(folder), "GetStatus")
             await first.task
-            await until(lambda: len(service.live) == 1)
-            assert service.live.patience_s == 0.02
+            await until(lambda: len(service.readers.live) == 1)
+            assert service.readers.live.patience_s == 0.02
 
     within_reason(test())
 
@@ -185,7 +185,7 @@ def test_a_wish_out_of_range_is_refused(folder: Path, batch_s: float) -> None:
             line = await connected(folder)
             reply = await ask(line, "Stream", parameters={"batch_s": batch_s}, more=True)
             assert reply["error"] == "org.varlink.service.InvalidParameter"
-            assert len(service.live) == 0
+            assert len(service.readers.live) == 0
 
     within_reason(test())
 
@@ -208,7 +208,7 @@ def test_a_recordings_blocks_are_made_once_for_all_who_take_them(tmp_path: Path,
         async with answering(tmp_path) as service:
             lines = [await connected(tmp_path) for _ in range(clients)]
             taking = [asyncio.create_task(taken(line, 3)) for line in lines]
-            await until(lambda: len(service.recorders) == clients)
+            await until(lambda: len(service.readers.recorders) == clients)
             await played(service, tmp_path, lab, 2)
             results.extend(await asyncio.gather(*taking))
 

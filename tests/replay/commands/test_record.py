@@ -33,13 +33,13 @@ def begin(folder: Path, out: Path, *options: str) -> subprocess.Popen[str]:
 async def recorded(service: Service, folder: Path, lab: list[Any], *options: str) -> tuple[int, str, str]:
     """Record half a minute of a phone at sixty times its pace, and end it by Ctrl-C."""
     process = begin(folder, folder / "r.csv", *options)
-    await until(lambda: len(service.recorders) == 1)
+    await until(lambda: len(service.readers.recorders) == 1)
     await serve_phone(lab[:3], {"device": "p"}, LinkSettings(speed=60.0), folder / "tty")
     await until(lambda: service.saved.clock.newest >= float(lab[2].accelerometer.t[-1]) - 1e-6)
     await asyncio.sleep(0.3)  # what has come is on its way to the command
     process.send_signal(signal.SIGINT)
     out, err = await asyncio.to_thread(process.communicate, timeout=30)
-    await until(lambda: len(service.recorders) == 0)
+    await until(lambda: len(service.readers.recorders) == 0)
     return process.returncode, out, err
 
 
@@ -66,7 +66,7 @@ def test_the_daemons_end_leaves_a_whole_file_too_and_is_said(folder: Path, lab: 
     async def test() -> subprocess.Popen[str]:
         async with running(given_in(folder, IDLE)) as service:
             process = begin(folder, folder / "r.csv.gz")
-            await until(lambda: len(service.recorders) == 1)
+            await until(lambda: len(service.readers.recorders) == 1)
             await serve_phone(lab[:2], {"device": "p"}, LinkSettings(speed=60.0), folder / "tty")
         return process
 
