@@ -11,6 +11,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands do; before numpy is first imported
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # or each process that is started compiles stillcal anew
 
+import hypothesis
 import numpy as np
 import pytest
 
@@ -27,6 +28,9 @@ from stillcal.calib_core.calibration.record import (
 )
 from stillcal.calib_core.gravity import Gravity
 from stillcal.replay.phone import load_phone, load_scenario, simulate
+
+hypothesis.settings.register_profile("busy machine", deadline=None)  # no test asserts how long it took
+hypothesis.settings.load_profile("busy machine")
 
 
 @pytest.fixture(scope="session")
