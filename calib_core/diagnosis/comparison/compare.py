@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stam
 from stillcal.calib_core.diagnosis.comparison.linear import (
     SHIFTED,
     Wanted,
+    hidden_shifts,
     kind_of,
     linear_quantities,
     moved_rows,
@@ -145,9 +146,11 @@ def _sides(
     """Return what either recording shows, the constants at the recording's mean temperature.
 
     They are those at the temperature where both agree best, if they do agree there: elsewhere they would only
-    repeat that a slope differs. wanted: what either of the two is asked for.
+    repeat that a slope differs. Of a simulation whose temperature stays the same only the constants at that
+    one are known. wanted: what either of the two is asked for.
     """
-    reference = _mean_temperature(exams[0].bins, exams[1].bins)
+    steady = hidden_shifts(exams[1], wanted[1])
+    reference = _reference_temperature(exams[0].bins, exams[1].bins, steady)
     asked = list(zip(exams, wanted, strict=True))
     sides = [_quantities(exam, own, reference) for exam, own in asked]
     for sensor, at in crossing_temperatures(sides, reference).items():
@@ -246,12 +249,19 @@ def _line(
     return change, np.asarray(np.linalg.inv(spread)), constant.value[rows]
 
 
-def _mean_temperature(recorded: Bins, simulated: Bins) -> dict[str, float]:
-    """Return the degC at which constants are compared: the recording's mean, if both have a thermometer."""
-    if recorded.temperature is None or simulated.temperature is None:
+def _reference_temperature(recorded: Bins, simulated: Bins, steady: Collection[str]) -> dict[str, float]:
+    """Return, by sensor, the degC at which constants are compared, if both have a thermometer.
+
+    That is the recording's mean, or the simulation's for the sensors in `steady`.
+    """
+    if (
+        recorded.temperature is None
+        or simulated.temperature is None
+        or not (len(recorded) and len(simulated))
+    ):
         return {}
-    mean = float(recorded.temperature.mean()) if len(recorded) and len(simulated) else None
-    return {} if mean is None else {"accel": mean, "gyro": mean}
+    means = float(recorded.temperature.mean()), float(simulated.temperature.mean())
+    return {sensor: means[sensor in steady] for sensor in ("accel", "gyro")}
 
 
 def _quantities(

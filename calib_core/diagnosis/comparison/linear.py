@@ -144,8 +144,12 @@ def _fitted(
     sizes = whole.sizes[:count]
     value, covariance = fit.beta[:count] * sizes, fit.covariance[:count, :count] * np.outer(sizes, sizes)
     turned = _at_reference(scene, hypotheses, parts, reference_c)
-    stated, covariance = turned @ value, turned @ covariance @ turned.T
-    out = _constant_quantities(exam, kind, stated, covariance, reference_c)
+    roughly = np.zeros(count)
+    for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
+        roughly[rows] = _model_error(hypothesis, value[rows])
+    stated, of_constants = turned @ value, turned @ (covariance + np.diag(roughly**2)) @ turned.T
+    covariance = turned @ covariance @ turned.T
+    out = _constant_quantities(exam, kind, stated, of_constants, reference_c)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
         effect = effect_quantity(scene.bins.span, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
         if reference_c is not None and hypothesis.effect.name in SHIFTED:
@@ -254,6 +258,16 @@ def moved_rows(effect: str) -> NDArray[np.int64]:
     return np.asarray(rows - rows[0])
 
 
+def hidden_shifts(exam: Examination, wanted: Sequence[Wanted]) -> set[str]:
+    """Return the sensors whose constants follow temperature, which here changes too little to show it."""
+    scenes = {kind_of(s): s for s in [*exam.scenes, *([exam.turns] if exam.turns else [])]}
+    return {
+        w.hypothesis.effect.sensor
+        for w in wanted
+        if w.hypothesis.effect.name in SHIFTED and w.kind in scenes and proposed(scenes[w.kind], w) is None
+    }
+
+
 def _at_reference(
     scene: Scene,
     hypotheses: Sequence[Hypothesis],
@@ -341,19 +355,26 @@ def effect_quantity(
     span: s, when the recording began and ended.
     """
     effect = hypothesis.effect
-    largest = [float(np.abs(value[rows]).max()) for rows in _rows(hypothesis)]
-    rough = np.concatenate(
-        [np.full(p.count, MODEL_ERROR * x) for p, x in zip(effect.parameters, largest, strict=True)]
-    )
     return Quantity(
         effect.name,
         effect.sensor,
         tuple(Part(p.name, p.unit, p.count) for p in effect.parameters),
         value,
-        covariance + np.diag(rough**2),
+        covariance + np.diag(_model_error(hypothesis, value) ** 2),
         hypothesis.sizes,
         1e-9 * hypothesis.sizes,
         np.asarray(hypothesis.axis_of),
         reference=dict(hypothesis.grid),
         where=Where(*span, SLOW_BAND, effect.follows),
+    )
+
+
+def _model_error(hypothesis: Hypothesis, value: Array) -> Array:
+    """Return the standard deviation (k,) that an effect's numbers (k,) have because it is only a model."""
+    largest = [float(np.abs(value[rows]).max()) for rows in _rows(hypothesis)]
+    return np.concatenate(
+        [
+            np.full(p.count, MODEL_ERROR * x)
+            for p, x in zip(hypothesis.effect.parameters, largest, strict=True)
+        ]
     )

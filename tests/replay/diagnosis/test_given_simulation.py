@@ -146,6 +146,19 @@ def test_a_step_that_the_recording_alone_has_makes_no_bias_besides() -> None:
 
 
 @pytest.mark.slow
+def test_a_simulation_at_one_temperature_is_compared_at_that_one() -> None:
+    """It was compared at the recording's mean, where it never was: its bias was falsely another one."""
+    still = phone_with(thermal(1.0))
+    kept = msgspec.structs.replace(still, heat=msgspec.structs.replace(still.heat, charge_k=0.0, use_k=0.0))
+    at_one = named(recorded(kept, 8), "sim.csv")
+    bins = examination(at_one).bins
+    assert bins.temperature is not None and np.ptp(bins.temperature) < 0.3
+    said = answer(real(), at_one)
+    assert (said["verdict"], said["findings"]) == ("match", [])
+    assert "accel_bias" in {a["effect"] for a in said["agreed"]}
+
+
+@pytest.mark.slow
 def test_a_time_constant_that_the_simulation_has_not_is_the_recordings_with_its_interval() -> None:
     """The amplitude was that at a coarse grid point, and nothing told the time constant."""
     settling = {"name": "accel_warmup", "amplitude": [0.05, -0.03, 0.0], "tau_s": 170.0}
