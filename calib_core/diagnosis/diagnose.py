@@ -166,7 +166,7 @@ def _with_motion(
     bare = off_bins(exam.bins, known)
     gravity = exam.claims.gravity
     most = min(limits_of("gyro_saturation", direct), default=np.inf)
-    rates = OffRates.of(known, exam.accelerometer)
+    rates = OffRates.of(known, exam.accelerometer, bare, gravity)
     turned = partial(_turned, exam.gyroscope, bare, gravity, most)
     turns = None
     if len(exam.bins):

@@ -15,6 +15,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.moments import Moments, at_samples
+from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.streams.samples import Samples
@@ -61,15 +62,24 @@ def off_bins(bins: Bins, known: Sequence[Known]) -> Bins:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OffRates:
-    """What is known of the gyroscope, taken off its samples. accelerometer: its samples, for the force."""
+    """What is known of the gyroscope, taken off its samples.
+
+    accelerometer: its samples; scale (3, 3), bias (3,): the force is scale (sample - bias).
+    """
 
     known: Sequence[Known]
     accelerometer: Samples
+    scale: Array
+    bias: Array
 
     @classmethod
-    def of(cls, known: Sequence[Known], accelerometer: Samples) -> OffRates:
-        """Return that of the gyroscope's effects alone."""
-        return cls([k for k in known if k.effect.sensor == "gyro"], accelerometer)
+    def of(cls, known: Sequence[Known], accelerometer: Samples, bins: Bins, gravity: float) -> OffRates:
+        """Return that of the gyroscope's effects alone. bins: those that show the accelerometer's errors."""
+        own = [k for k in known if k.effect.sensor == "gyro"]
+        if not own:
+            return cls(own, accelerometer, np.eye(3), np.zeros(3))
+        fitted = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
+        return cls(own, accelerometer, fitted.scale, fitted.bias)
 
     def __call__(self, samples: Samples) -> Array:
         """Return the rate (n, 3) of some of the gyroscope's samples, rad/s."""
@@ -85,4 +95,6 @@ class OffRates:
             None if column is None else np.interp(t, bins.t, column)
             for column in (bins.temperature, bins.charging)
         )
-        return at_samples(t, bins.history, (self.accelerometer, samples.xyz), warm, plugged)
+        made = at_samples(t, bins.history, (self.accelerometer, samples.xyz), warm, plugged)
+        assert made.force is not None, "of an accelerometer"
+        return replace(made, force=(made.force - self.bias) @ self.scale.T)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
-from stillcal.calib_core.diagnosis.slow.taken_off import Known, off_bins
+from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded
 
@@ -52,3 +54,17 @@ def test_bins_without_what_is_known_are_those_of_a_phone_without_it() -> None:
     # A constant goes with the bias.
     assert np.abs(np.ptp(added - true, axis=0)).max() < 0.15 * np.ptp(true)
     assert bare.rate is exam.bins.rate
+
+
+@pytest.mark.slow
+def test_what_follows_the_force_is_taken_off_by_the_force_itself() -> None:
+    """It was by what the accelerometer reads: its bias made a gain of the gyroscope of what was left."""
+    exam = exam_with(SENSITIVITY["name"])
+    assert exam.gyroscope is not None
+    wrong, known = np.array([0.0, 0.0, 0.6]), Known.among(exam.statements)
+    biased = replace(exam.accelerometer, xyz=frozen(exam.accelerometer.xyz + wrong))
+    bins = replace(exam.bins, force=exam.bins.force + wrong)
+    gravity = exam.claims.gravity
+    right = OffRates.of(known, exam.accelerometer, exam.bins, gravity)(exam.gyroscope)
+    made = OffRates.of(known, biased, bins, gravity)(exam.gyroscope)
+    assert np.abs(made - right).max() < 0.05 * 3e-4 * np.abs(wrong).max()
