@@ -29,6 +29,9 @@ from stillcal.calib_core.static.rest import directions
 FACE_DIRECTIONS = np.vstack([sign * np.eye(3)[k] for k in range(3) for sign in (-1.0, 1.0)])
 """(6, 3): -x, +x, -y, +y, -z, +z, the paper's order of a(1) to a(6) (3.3.1)."""
 
+FACE_WORDS = tuple(map(describe, FACE_DIRECTIONS))
+"""How to lay the phone for each of these."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KnownFit:
@@ -91,7 +94,7 @@ def faces_up(forces: ArrayLike, tilt: float = np.pi / 4) -> Array:
 
 def missing_faces(up: Array) -> tuple[str, ...]:
     """Return in words the faces that `up` (n,), from `faces_up`, lacks."""
-    return tuple(describe(FACE_DIRECTIONS[k]) for k in range(6) if k not in up)
+    return tuple(words for k, words in enumerate(FACE_WORDS) if k not in up)
 
 
 def _covariance(design: Array, residuals: Array, unit: float) -> Array | None:

@@ -16,11 +16,11 @@ import numpy as np
 from stillcal.calib_core.accelerometer import fit as accelerometer
 from stillcal.calib_core.accelerometer.known_attitudes import (
     FACE_DIRECTIONS,
+    FACE_WORDS,
     faces_up,
     missing_faces,
     six_faces,
 )
-from stillcal.calib_core.accelerometer.observability import describe
 from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
@@ -110,7 +110,7 @@ def fit_six_faces(
         off = np.hypot(*_tilts(theta, means)[1].reshape(6, 2).T)
         raise NotSupported(
             f"the faces are {np.degrees(tilt):.1f} degrees (rms) from square and level: lay them again, flat",
-            [describe(FACE_DIRECTIONS[k]) for k in np.flatnonzero(off >= off.max() / 2)],
+            [FACE_WORDS[k] for k in np.flatnonzero(off >= off.max() / 2)],
         )
     widened = (quantile(free, 0.975) / _NORMAL_975) ** 2
     model = SensorModel.of(theta[3:].reshape(3, 3), theta[:3])

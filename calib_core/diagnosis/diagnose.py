@@ -74,6 +74,11 @@ class Examination:
         return Diagnosis(recording, [s.finding for s in self.statements])
 
     @property
+    def every_scene(self) -> list[Scene]:
+        """The scenes of both sensors, and that of the turns where there is one."""
+        return [*self.scenes, *([self.turns] if self.turns else [])]
+
+    @property
     def is_table(self) -> bool:
         """Whether it is a table of rests, which has no samples."""
         return len(self.accelerometer) == 0

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from stillcal.calib_core.calibration.laid_faces import LaidFaces, Stage, begun
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.engine.actions import Action, Level, Log
 from stillcal.calib_core.engine.decisions import CalibrationPolicy
+from stillcal.calib_core.engine.laid_faces import LaidFaces, Stage, begun
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.detector import StationaryDetector

@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from stillcal.calib_core import gravity as local_gravity
-from stillcal.calib_core.calibration.laid_faces import LaidFaces
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.suspicion import Suspicion
 from stillcal.calib_core.calibration.trial import Trial
 from stillcal.calib_core.engine.duty_cycle import DutyBudget
+from stillcal.calib_core.engine.laid_faces import LaidFaces
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.detector import DetectorState

@@ -14,12 +14,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from stillcal.calib_core.calibration.laid_faces import LaidFaces
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.suspicion import Suspicion
 from stillcal.calib_core.engine.actions import Action
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.laid_faces import LaidFaces
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.engine.state import Counters, EngineState, Refusal, Trouble, without_streams
 from stillcal.calib_core.gravity import Gravity

@@ -12,10 +12,10 @@ import numpy as np
 
 from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.laid_faces import Stage
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
+from stillcal.calib_core.engine.laid_faces import Stage
 from stillcal.calib_core.static.settings import Label, Sense
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day

@@ -97,7 +97,7 @@ def _largest(simulated: Examination, wanted: Sequence[Wanted]) -> dict[Key, Arra
     largest size that it may have.
     """
     out: dict[Key, Array] = {}
-    for scene in [*simulated.scenes, *([simulated.turns] if simulated.turns else [])]:
+    for scene in simulated.every_scene:
         for one in wanted:
             effect = one.hypothesis.effect
             hypothesis = proposed(scene, one) if one.kind == kind_of(scene) else None

@@ -121,8 +121,7 @@ def linear_quantities(
     is missing where the recording lacks what drives it, all of them where it has too few static bins.
     """
     out: dict[tuple[str, str], Quantity] = {}
-    scenes = [*exam.scenes, *([exam.turns] if exam.turns else [])]
-    for scene in scenes:
+    for scene in exam.every_scene:
         if len(scene.bins) >= thresholds.LEAST_BINS:
             own = [w for w in wanted if w.kind == kind_of(scene)]
             for quantity in _fitted(exam, scene, own, reference_c.get(scene.sensor)):
@@ -260,7 +259,7 @@ def moved_rows(effect: str) -> NDArray[np.int64]:
 
 def hidden_shifts(exam: Examination, wanted: Sequence[Wanted]) -> set[str]:
     """Return the sensors whose constants follow temperature, which here changes too little to show it."""
-    scenes = {kind_of(s): s for s in [*exam.scenes, *([exam.turns] if exam.turns else [])]}
+    scenes = {kind_of(s): s for s in exam.every_scene}
     return {
         w.hypothesis.effect.sensor
         for w in wanted

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS
+from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, FACE_WORDS
 from stillcal.calib_core.accelerometer.observability import (
     Attitude,
     amplification,
-    describe,
     most_helpful_attitude,
 )
 from stillcal.calib_core.arrays import Array
@@ -58,7 +57,7 @@ def wanted_attitude(now: Snapshot) -> Attitude | None:
     While known faces are laid it is the next of them.
     """
     if now.faces.get("stage") == "laying":
-        faces = (Attitude(up, describe(up)) for up in FACE_DIRECTIONS)
+        faces = map(Attitude, FACE_DIRECTIONS, FACE_WORDS)
         return next((face for face in faces if face.words in now.faces["missing"]), None)
     held = np.array([up for up, _ in attitudes(now)]).reshape(-1, 3)
     return None if amplification(held) <= LIMIT else most_helpful_attitude(held)

@@ -116,9 +116,7 @@ def difference(finding: Finding, name: str) -> Array:
         value = -np.asarray(finding["simulated"][name]["value"], dtype=np.float64)
     else:
         raise CannotHold(f"the finding has no {name}")
-    if value.shape == (3,) and finding["axes"]:
-        value = np.where([axis in finding["axes"] for axis in AXES], value, 0.0)
-    return value
+    return on_its_axes(finding, value, 0.0) if value.shape == (3,) else value
 
 
 def to_add(finding: Finding, name: str, before: Array) -> Array:
@@ -148,9 +146,7 @@ def ratio(finding: Finding, name: str) -> Array:
     if name not in finding["simulated"]:
         raise CannotHold(f"the simulation has no {name}")
     out = one / np.asarray(finding["simulated"][name]["value"], dtype=np.float64)
-    if out.shape == (3,) and finding["axes"]:
-        out = np.where([axis in finding["axes"] for axis in AXES], out, 1.0)
-    return np.asarray(out)
+    return on_its_axes(finding, out, 1.0) if out.shape == (3,) else out
 
 
 def common_ratio(finding: Finding, name: str) -> float:
@@ -254,7 +250,7 @@ def slow_walk(finding: Finding) -> Array:
     return np.asarray(slow_deviation(finding) * np.sqrt(3.0 / LAG_S))
 
 
-def on_its_axes(finding: Finding, after: Array, before: Array) -> Array:
+def on_its_axes(finding: Finding, after: Array, before: Array | float) -> Array:
     """Return `after` (3,) on the axes that a finding names, all where it names none, else `before` (3,)."""
     if not finding["axes"]:
         return np.asarray(after)

@@ -14,6 +14,7 @@ from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
     AXES,
     SLOW_NOISE,
+    WHITE,
     CannotHold,
     Finding,
     Fixed,
@@ -110,8 +111,8 @@ class Gazebo:
         before = np.array([self._value(element, axis, "stddev") for axis in range(3)])
         if rate is None and (finding["relation"] == "lacking" or not before.all()):
             raise CannotHold("its sensor has no update_rate, on which stddev depends")
-        own = recorded(finding, "density") * np.sqrt((rate or 0.0) / 2.0)
-        after = level(before, finding, "density", own)
+        own = recorded(finding, WHITE) * np.sqrt((rate or 0.0) / 2.0)
+        after = level(before, finding, WHITE, own)
         for axis in changed_axes(after - before):
             self._set(element, axis, "stddev", float(after[axis]))
 

@@ -21,6 +21,7 @@ from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.airsim import DEG_PER_HOUR, DEG_PER_ROOT_HOUR
 from stillcal.replay.export.fix.findings import (
     SLOW_NOISE,
+    WHITE,
     CannotHold,
     Finding,
     Fixed,
@@ -68,8 +69,8 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def white(finding: Finding) -> None:
         key, unit = WALK[finding["sensor"]]
-        own = recorded(finding, "density") / np.sqrt(2.0) / unit
-        _set(fixed, key, level(_get(fixed, key), finding, "density", own))
+        own = recorded(finding, WHITE) / np.sqrt(2.0) / unit
+        _set(fixed, key, level(_get(fixed, key), finding, WHITE, own))
 
     def slow(finding: Finding) -> None:
         sensor = finding["sensor"]

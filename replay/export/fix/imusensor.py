@@ -15,6 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
+    WHITE,
     CannotHold,
     Finding,
     Fixed,
@@ -67,7 +68,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
 
     def white(finding: Finding) -> None:
         before = _get(fixed, finding, "NoiseDensity", np.zeros(3))
-        after = level(before, finding, "density", recorded(finding, "density"))
+        after = level(before, finding, WHITE, recorded(finding, WHITE))
         _set(fixed, finding, "NoiseDensity", before, after)
 
     def slow(finding: Finding) -> None:

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
+    WHITE,
     CannotHold,
     Finding,
     Fixed,
@@ -103,7 +104,7 @@ class _Phone:
     def white(self, finding: Finding) -> None:
         noise = self._sensor(finding).noise
         before = per_axis(noise.white)
-        after = level(before, finding, "density", recorded(finding, "density"))
+        after = level(before, finding, WHITE, recorded(finding, WHITE))
         self._set_noise(finding, white=_vector(after))
         note_change(self._fixed, f"{finding['sensor']}.noise.white", before, after)
 

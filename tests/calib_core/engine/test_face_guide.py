@@ -9,11 +9,11 @@ from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS
 from stillcal.calib_core.accelerometer.observability import describe, places
 from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.laid_faces import LaidFaces, Stage
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.engine.actions import Action, Log, Publish
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.face_guide import GIVE_UP_S
+from stillcal.calib_core.engine.laid_faces import LaidFaces, Stage
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings, Watch
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.maths import rotation

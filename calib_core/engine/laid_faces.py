@@ -13,8 +13,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS, faces_up, missing_faces
-from stillcal.calib_core.accelerometer.observability import describe
+from stillcal.calib_core.accelerometer.known_attitudes import (
+    FACE_DIRECTIONS,
+    FACE_WORDS,
+    faces_up,
+    missing_faces,
+)
 from stillcal.calib_core.accelerometer.six_faces import SixFacesSettings
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.rest_pool import Pool
@@ -94,7 +98,7 @@ class LaidFaces:
 
     def again(self, refusal: NotSupported, t: float) -> LaidFaces:
         """Return it with the faces that a refusal names wanted anew from t (s) on, or all six."""
-        named = [k for k in _FACES if describe(FACE_DIRECTIONS[k]) in refusal.missing]
+        named = [k for k in _FACES if FACE_WORDS[k] in refusal.missing]
         wanted = named or _FACES
         since = tuple(t if k in wanted else since for k, since in enumerate(self.since))
         done = tuple(k for k in self.done if k not in wanted)
