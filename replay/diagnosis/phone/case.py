@@ -2,32 +2,41 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import msgspec
+import numpy as np
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
-from stillcal.replay.diagnosis.phone.resimulate import motion_of, resimulate
+from stillcal.replay.diagnosis.phone.resimulate import added_to, motion_of, resimulate
 from stillcal.replay.diagnosis.phone.twin import (
     AffinePhone,
     Conditions,
     conditions_of,
     fit_affine,
+    observable,
     skew_of,
 )
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.on_settings import GyroSaturation
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.settings import SensorSettings
 
 SEED = 2
 """Of what is simulated."""
+
+ROUNDS = 3
+"""Times that the gyroscope's scale is fitted about the effects of the rate, which go with the true one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,6 +99,34 @@ def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) 
     affine = fit_affine(exam.bins, effects, conditions, gravity)
     if exam.aligned is not None:
         affine = replace(affine, rate_mapping=exam.aligned.mapping * (1.0 + skew_of(effects)))
+    if any(observable(e) and e.concerns(Sensor.GYROSCOPE) for e in effects):
+        for _ in range(ROUNDS):
+            affine = _about_effects(recording, exam, affine, effects, conditions)
     spectra = {s.sensor: s.spectra for s in exam.streams if s.spectra is not None}
     cutoffs = {s: float(f"{one.low_pass.cutoff.value:.4g}") for s, one in spectra.items() if one.low_pass}
     return Case(recording, exam.bins, gravity, conditions, mapped, affine, cutoffs)
+
+
+def _about_effects(
+    recording: Recording,
+    exam: Examination,
+    affine: AffinePhone,
+    effects: Sequence[Effect],
+    conditions: Conditions,
+) -> AffinePhone:
+    """Return the phone with the mapping of rates fitted again to turns without what effects add to these.
+
+    What goes with the rate of turn itself, such as a nonlinearity, else looks like a part of the scale.
+    """
+    gyroscope, added = recording.gyroscope, added_to(recording, affine, effects, conditions)[1]
+    if gyroscope is None or added is None or exam.bins.rate is None:
+        return affine
+
+    def rates(part: Samples) -> Array:
+        first = int(np.searchsorted(gyroscope.t, part.t[0]))
+        return np.asarray(part.xyz - added[first : first + len(part)])
+
+    bare = replace(exam.bins, force=exam.bins.force - affine.accel, rate=exam.bins.rate - affine.gyro)
+    limit = min((e.limit for e in effects if isinstance(e, GyroSaturation)), default=np.inf)
+    mapping = aligned(gyroscope, bare, exam.claims.gravity, limit, rates).mapping
+    return replace(affine, rate_mapping=mapping * (1.0 + skew_of(effects)))

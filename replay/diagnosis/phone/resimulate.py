@@ -38,6 +38,10 @@ AT_LIMIT, BEYOND = 0.99, 1.1
 """Part of a sensor's limit from which a value stands for a larger one, and how many times larger it is taken:
 enough for the simulated sensor to stop at the limit as well. How large it was nothing tells."""
 
+ROUNDS = 4
+"""Times that effects are taken at the motion without them: an effect that grows by a tenth of what it acts on
+is then known to a thousandth of itself."""
+
 SLOWEST = 0.05
 """Rates below this, rad/s, are noise at rest, which acts through no lever arm and no nonlinearity."""
 
@@ -74,26 +78,10 @@ def motion_of(
     gyroscope and a clock's error are taken back, what stopped at a limit goes on beyond it, and what the
     others add, as far as it follows from the recording, is taken off.
     """
-    accel, gyroscope = _unlimited(recording.accelerometer, effects), recording.gyroscope
-    gyroscope = None if gyroscope is None else _unlimited(gyroscope, effects)
-    delay = sum(float(getattr(e, "delay", 0.0)) for e in effects if e.name == "accel_gyro_time_offset")
-    force = affine.true_force(accel.xyz)
-    rate_t = None if gyroscope is None else gyroscope.t - delay
-    rate = None if gyroscope is None else affine.true_rate(gyroscope.xyz)
-    raw = Motion(accel.t, force, rate_t, rate)
-    known = [e for e in effects if observable(e)]
-    if known:
-        added = _added(
-            known, Sensor.ACCELEROMETER, moment_of(recording, raw, conditions, accel.t), recording, conditions
-        )
-        force = affine.true_force(accel.xyz - added)
-        if gyroscope is not None and rate_t is not None:
-            added = _added(
-                known, Sensor.GYROSCOPE, moment_of(recording, raw, conditions, rate_t), recording, conditions
-            )
-            rate = affine.true_rate(gyroscope.xyz - added)
+    accel, gyroscope = recording.accelerometer, recording.gyroscope
+    moved = _without(recording, affine, effects, added_to(recording, affine, effects, conditions))
     at_rest, still = gravity * affine.baseline.up, np.zeros((len(bins), 3))
-    force = _still(accel, bins, force, at_rest)
+    force, rate_t, rate = _still(accel, bins, moved.force, at_rest), moved.rate_t, moved.rate
     if gyroscope is not None and rate is not None:
         rate = _still(gyroscope, bins, rate, still)
 
@@ -109,6 +97,40 @@ def motion_of(
     edges = np.rint(np.stack([middle - half, middle + half], axis=1)).astype(int).tolist()
     steady = tuple((a, b) for a, b in edges)
     return Motion(true(force_t), force, None if rate_t is None else true(rate_t), rate, steady)
+
+
+def added_to(
+    recording: Recording, affine: AffinePhone, effects: Sequence[Effect], conditions: Conditions
+) -> tuple[Array, Array | None]:
+    """Return what the effects added to the accelerometer's samples (n, 3) and to the gyroscope's (m, 3).
+
+    They go with the true input, which is what is left without them: each round takes them at what the one
+    before left.
+    """
+    known = [e for e in effects if observable(e)]
+    accel = np.zeros_like(recording.accelerometer.xyz)
+    gyro = None if recording.gyroscope is None else np.zeros_like(recording.gyroscope.xyz)
+    for _ in range(ROUNDS if known else 0):
+        motion = _without(recording, affine, effects, (accel, gyro))
+        moment = moment_of(recording, motion, conditions, motion.force_t)
+        accel = _added(known, Sensor.ACCELEROMETER, moment, recording, conditions)
+        if motion.rate_t is not None:
+            moment = moment_of(recording, motion, conditions, motion.rate_t)
+            gyro = _added(known, Sensor.GYROSCOPE, moment, recording, conditions)
+    return accel, gyro
+
+
+def _without(
+    recording: Recording, affine: AffinePhone, effects: Sequence[Effect], added: tuple[Array, Array | None]
+) -> Motion:
+    """Return the motion behind the samples without what was added to them, by the device's clock."""
+    accel, gyroscope = _unlimited(recording.accelerometer, effects), recording.gyroscope
+    force = affine.true_force(accel.xyz - added[0])
+    if gyroscope is None or added[1] is None:
+        return Motion(accel.t, force)
+    delay = sum(float(getattr(e, "delay", 0.0)) for e in effects if e.name == "accel_gyro_time_offset")
+    rate = affine.true_rate(_unlimited(gyroscope, effects).xyz - added[1])
+    return Motion(accel.t, force, gyroscope.t - delay, rate)
 
 
 def _unlimited(samples: Samples, effects: Sequence[Effect]) -> Samples:

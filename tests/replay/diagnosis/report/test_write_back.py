@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
@@ -164,3 +165,18 @@ def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
     assert case_of(made, exam, Comparison()).cutoffs.keys() == {"accel", "gyro"}
     plain = examined(turned(1, turns=8), search=False)
     assert case_of(made, plain, Comparison()).cutoffs == {}
+
+
+def test_the_gyroscopes_scale_in_the_phone_file_is_that_beside_its_nonlinearity() -> None:
+    """The turns tell both: fitted without the nonlinearity, the scale held a part of it, 0.5 % here."""
+    scale, quadratic = np.array([1.006, 0.996, 1.003]), np.array([0.0, 2e-2, 0.0])
+
+    def flaw(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force, rate * scale + quadratic * rate**2
+
+    case = diagnosed(turned(2, flaw, turns=40, motion=1))
+    assert [m.finding.effect for m in case.mapped] == ["gyro_nonlinearity"]
+    phone = case.phone()
+    assert phone.gyro is not None
+    # Between recordings of three motions it scatters by 5e-4; this is three times as much.
+    np.testing.assert_allclose(np.diag(phone.gyro.scale), scale, atol=1.5e-3)
