@@ -7,23 +7,33 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.replay.formats.covariates import read_covariates
+
+RATE_HZ = 20.0
 
 SLOPE = 1.5e-3
 """rad/s per volt."""
 
 
+def attitudes(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+    """Return times (n,), s, directions (10, 3), which of them holds (n,), and whether it is moved (n,)."""
+    t = np.arange(int(1200 * RATE_HZ)) / RATE_HZ
+    ups = rng.normal(size=(10, 3))
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    return t, ups, (t / 120.0).astype(int), (t % 120.0) < 4.0
+
+
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Twenty minutes at 20 Hz in ten attitudes; the gyroscope's z follows a voltage logged each minute."""
-    rng, rate_hz = np.random.default_rng(4), 20.0
-    t = np.arange(int(1200 * rate_hz)) / rate_hz
-    ups = rng.normal(size=(10, 3))
-    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
-    which = (t / 120.0).astype(int)
-    moving = (t % 120.0) < 4.0
+    rng = np.random.default_rng(4)
+    t, ups, which, moving = attitudes(rng)
     minutes = np.arange(0.0, 1201.0, 60.0)
     volts = 3.8 + 0.25 * np.sin(minutes / 190.0) + 0.05 * rng.normal(size=minutes.size)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
@@ -32,12 +42,17 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     logged = np.full(t.size, "", dtype=object)
     logged[np.searchsorted(t, minutes[:-1])] = [f"{v:.5f}" for v in volts[:-1]]
     path = tmp_path_factory.mktemp("log") / "log.csv"
-    with path.open("w") as out:
-        out.write("t,ax,ay,az,gx,gy,gz,battery_v\n")
-        for i in range(t.size):
-            numbers = ",".join(f"{x:.7g}" for x in (t[i], *force[i], *rate[i]))
-            out.write(f"{numbers},{logged[i]}\n")
+    write(path, t, force, rate, {"battery_v": logged})
     return path
+
+
+def write(path: Path, t: Array, force: Array, rate: Array, logged: dict[str, Any]) -> None:
+    """Write a recording with further columns, (n,) each."""
+    with path.open("w") as out:
+        out.write(",".join(["t,ax,ay,az,gx,gy,gz", *logged]) + "\n")
+        for i in range(t.size):
+            numbers = [f"{x:.7g}" for x in (t[i], *force[i], *rate[i])]
+            out.write(",".join([*numbers, *(str(column[i]) for column in logged.values())]) + "\n")
 
 
 def run(*words: object) -> tuple[int, str]:
@@ -101,3 +116,19 @@ def test_a_cell_that_is_no_number_names_its_row(tmp_path: Path) -> None:
     code, text = run(path, "--covariate", "load")
     assert code == 2
     assert "bad.csv:602: load is 'high', no finite number" in text
+
+
+@pytest.mark.parametrize("cell", ["wifi", "nan"])
+def test_a_column_without_numbers_names_columns_that_have_them(tmp_path: Path, cell: str) -> None:
+    path = tmp_path / "modes.csv"
+    rows = [f"{i / 50},0,0,9.8,{cell},{'nan' if i % 10 else i}" for i in range(1000)]
+    path.write_text("\n".join(["t,ax,ay,az,mode,load", *rows]) + "\n")
+    code, text = run(path, "--covariate", "mode")
+    assert code == 2
+    assert "modes.csv: the column 'mode' holds no numbers; columns that do: load" in text
+
+
+def test_a_cell_of_nan_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "sparse.csv"
+    path.write_text("t,ax,ay,az,load\n0,0,0,9.8,3\n1,0,0,9.8,nan\n2,0,0,9.8,5\n")
+    assert read_covariates(path, ["load"])["load"].at(np.array([1.0])) == pytest.approx(4.0)
