@@ -15,8 +15,8 @@ from stillcal.calib_core.diagnosis.comparison.noise import why_no_density
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
-from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
-from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -100,7 +100,24 @@ def _why_slow(
         return first
     if effect.endswith("bias_random_walk"):
         return None
-    return seen.get((effect, sensor)) or uninformed(effect)
+    return _copied(exam, effect, sensor) or seen.get((effect, sensor)) or uninformed(effect)
+
+
+def _copied(exam: Examination, effect: str, sensor: str) -> str | None:
+    """Say of what found effect's driver an effect's own is a copy; None where it is of none."""
+    scenes = [scene for scene in exam.scenes if scene.sensor == sensor]
+    asked = [
+        h for scene in scenes for e in effects_in(scene) if e.name == effect for h in scene.hypotheses(e)
+    ]
+    found = [s.hypothesis for s in exam.statements if s.hypothesis is not None and s.scene in scenes]
+    alike = ((own, other) for own in asked for other in found if copies(own, other))
+    return next(
+        (
+            f"{own.effect.follows} is a copy of {other.effect.follows}, and cannot be told from it"
+            for own, other in alike
+        ),
+        None,
+    )
 
 
 HARDLY = "it would show only at a size that one phone in ten has at most"

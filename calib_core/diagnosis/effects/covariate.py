@@ -10,8 +10,12 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import SIZE, BiasEffect
 from stillcal.calib_core.diagnosis.model.effect import Grid, Linear
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.moments import Moments, moves
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+
+COPY = 0.999
+"""Correlation from which a column is a copy of what drives another effect: rounded, or in another unit."""
 
 
 class CovariateBias(BiasEffect):
@@ -42,3 +46,18 @@ class CovariateBias(BiasEffect):
         """Return the column about its mean, in its own unit."""
         x = moments.covariates[self.column]
         return np.asarray(x - x.mean())
+
+
+def of_column(hypothesis: Hypothesis) -> bool:
+    """Whether an effect follows a further logged column."""
+    return isinstance(hypothesis.effect, CovariateBias)
+
+
+def copies(one: Hypothesis, other: Hypothesis) -> bool:
+    """Whether one of two effects follows a logged column, and that is a copy of what the other follows."""
+    if not (of_column(one) or of_column(other)):
+        return False
+    if any(a.shape != b.shape for a, b in zip(one.columns, other.columns, strict=True)):
+        return False
+    a, b = (np.concatenate([c.ravel() for c in h.columns]) for h in (one, other))
+    return bool(abs(a @ b) > COPY * np.linalg.norm(a) * np.linalg.norm(b))

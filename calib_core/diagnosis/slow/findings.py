@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.effects.covariate import copies
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, residuals
@@ -273,10 +274,12 @@ def _first_in(scene: Scene, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
     An effect that was picked from many curves or grid points gives away the logarithm of their number, and
-    one without a name what names are preferred by.
+    one without a name what names are preferred by. A copy is no rival: it says the same of the recording.
     """
+    different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
     mine, *others = (
-        np.array(h.training) - np.log(_tried(scene, s.hypothesis)) - _given_away(s) for s, h in (own, *rivals)
+        np.array(h.training) - np.log(_tried(scene, s.hypothesis)) - _given_away(s)
+        for s, h in (own, *different)
     )
     return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import nameless
+from stillcal.calib_core.diagnosis.effects.covariate import copies, of_column
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Fit,
     Maximum,
@@ -198,7 +199,7 @@ def forward(scene: Scene, effects: Sequence[Effect], threshold: float = threshol
         if not ranked or ranked[0].score < threshold:
             break
         step = prefer_named(scene, Step(ranked[0], tuple(ranked[1:])), before)
-        step = refined(scene, prefer_pair(scene, step, before), before)
+        step = refined(scene, prefer_original(prefer_pair(scene, step, before)), before)
         steps.append(step)
         effects = [e for e in effects if not _spent(e, step.winner.hypothesis.effect)]
     return steps
@@ -316,6 +317,15 @@ def prefer_named(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step
         if _as_likely_beforehand(step.winner) - _as_likely_beforehand(s) < thresholds.UNKNOWN_MARGIN:
             return Step(s, (step.winner, *(other for other in others if other is not s)))
     return Step(step.winner, tuple(sorted(others, key=lambda s: -s.score)))
+
+
+def prefer_original(step: Step) -> Step:
+    """Let an effect of the catalogue win over that of a logged column which is a copy of what it follows."""
+    own = step.winner
+    copied = [s for s in step.others if not of_column(s.hypothesis) and copies(own.hypothesis, s.hypothesis)]
+    if not of_column(own.hypothesis) or not copied:
+        return step
+    return Step(copied[0], (own, *(s for s in step.others if s is not copied[0])))
 
 
 def _as_likely_beforehand(one: Scored) -> float:

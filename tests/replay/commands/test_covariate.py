@@ -84,6 +84,26 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     assert {r["unit"] for r in rows} <= {"m/s^2", "rad/s", "rad"}
 
 
+def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> None:
+    """The column says the same of the bias as temperature does: an alternative, and no other explanation."""
+    rng = np.random.default_rng(20)
+    t, ups, which, moving = attitudes(rng)
+    warm = 28.0 + 5.0 * np.sin(t / 111.0) + 2.0 * np.sin(t / 53.0)
+    force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
+    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
+    rate += np.outer(warm - 28.0, [2e-4, 0.0, -1e-4])
+    path, answer = tmp_path / "copy.csv", tmp_path / "answer.json"
+    fahrenheit = np.round(1.8 * warm + 32.0, 1)
+    write(path, t, force, rate, {"temperature": np.round(warm, 2), "case_f": fahrenheit})
+    code, text = run(path, "--covariate", "case_f", "--json", answer)
+    assert code == 0, text
+    (found,) = json.loads(answer.read_text())["findings"]
+    assert found["effect"] == "gyro_bias_temperature"
+    alike = [a["effect"] for a in found["alternatives"] if a["indistinguishable"]]
+    assert "gyro_bias_case_f" in alike
+    assert "bias with case_f - the column case_f is a copy of temperature, and cannot be told from it" in text
+
+
 def test_a_column_that_does_not_change_is_said_to_drive_nothing(log: Path, tmp_path: Path) -> None:
     path = tmp_path / "short.csv"
     header, *lines = log.read_text().splitlines()[:900]
