@@ -29,6 +29,7 @@ from stillcal.daemon.publish.targets import publishers
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.engine_actions import EngineActions
 from stillcal.daemon.service.engine_thread import EngineReply, EngineThread, View
+from stillcal.daemon.service.finding_outcomes import outcome
 from stillcal.daemon.service.live_stream import Live
 from stillcal.daemon.service.phone_session import PhoneSession
 from stillcal.daemon.service.sample_readers import SampleReaders
@@ -269,8 +270,12 @@ class Service:
             report = replace(report, verdict=last.verdict, findings=last.findings)
             say("warning", "self-diagnosis", report.trouble, t=now, **took)
         else:
-            say("info", "self-diagnosis", report.summary, t=now, **took)
-            self.actions.carry_out((await self.engine_thread.consider(report.read())).actions)
+            findings = report.read()
+            self.actions.carry_out((await self.engine_thread.consider(findings)).actions)
+            say("info", "self-diagnosis", report.headline, t=now, **took)
+            for finding in findings:
+                became = outcome(finding, self.view, self.document, now)
+                say("info", "self-diagnosis", f"{finding['statement']} {became.sentence}")
         self.saved.night = report
         self.saving.changed()
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+from stillcal.daemon.system.plain_words import probability_text
 from stillcal.daemon.system.printable import printable
 
 WIDTH = 24
@@ -14,7 +16,17 @@ MOST_ROWS = 32
 """Rows of a table that are printed; --json has all."""
 
 WIDE = 32
-"""Characters from which on a column of text stands last, where it disturbs no other."""
+"""Characters from which on a column of text stands last, where it disturbs no other.
+
+Where there are several such columns, each has lines of its own below its row.
+"""
+
+SEVERAL = 2
+LINE = 100
+"""Characters of a line of such a text."""
+
+LEFT_OUT = ("json", "statement")
+"""Columns that tables leave out: for programs, or made of the other columns. --json has them."""
 
 
 def lines(value: Any, indent: str = "") -> Iterator[str]:
@@ -42,16 +54,32 @@ def _table(rows: Sequence[Any]) -> Iterator[str]:
     """Yield records, or lists of numbers, as aligned columns; records have a line of their names."""
     shown = rows[:MOST_ROWS]
     if isinstance(shown[0], dict):
-        names = list(dict.fromkeys(key for row in shown for key in row))
-        columns = [[name, *(_text(row.get(name)) for row in shown)] for name in names]
-        columns.sort(key=lambda column: max(map(len, column)) > WIDE)
+        names = [key for key in dict.fromkeys(key for row in shown for key in row) if key not in LEFT_OUT]
+        columns = [[name, *(_named(name, row.get(name)) for row in shown)] for name in names]
+        columns.sort(key=_is_wide)
     else:
         columns = [[_text(row[i]) if i < len(row) else "" for row in shown] for i in range(len(shown[0]))]
-    widths = [max(map(len, column)) for column in columns]
-    for cells in zip(*columns, strict=True):
+    wide = [column for column in columns if _is_wide(column)]
+    beside = columns if len(wide) < SEVERAL else [column for column in columns if column not in wide]
+    widths = [max(map(len, column)) for column in beside]
+    for number, cells in enumerate(zip(*beside, strict=True)):
         yield "  ".join(f"{cell:<{width}}" for cell, width in zip(cells, widths, strict=True)).rstrip()
+        for name, *texts in wide if len(beside) < len(columns) and number else ():
+            head = f"  {name}: "
+            text, indent = head + texts[number - 1], " " * len(head)
+            yield from textwrap.wrap(text, LINE, subsequent_indent=indent, break_on_hyphens=False)
     if len(rows) > MOST_ROWS:
         yield f"({len(rows) - MOST_ROWS} more: --json prints all)"
+
+
+def _is_wide(column: Sequence[str]) -> bool:
+    return max(map(len, column)) > WIDE
+
+
+def _named(name: str, value: Any) -> str:
+    """Return a field of a record as text."""
+    likely = name == "probability" and isinstance(value, float)
+    return probability_text(value) if likely else _text(value)
 
 
 def _text(value: Any) -> str:

@@ -42,8 +42,9 @@ SWITCH_S = 0.001
 class View:
     """The engine's state at one moment. decides: time of its next decision, s; inf where none is planned.
 
-    rests_kept: for learning. on_trial: effects of which a term is tested. suspected: steps of a bias. faces:
-    how far six known faces have come that were asked for.
+    rests_kept: for learning. learns_temperature: whether the settings have it learnt. on_trial: effects of
+    which a term is tested, and since when (s). suspected: steps of a bias. faces: how far six known faces
+    have come that were asked for.
     """
 
     want: Sense | Sleep
@@ -66,7 +67,8 @@ class View:
     thermometer: Thermometer = field(default_factory=Thermometer)
     charger: Charger = field(default_factory=Charger)
     rests_kept: int = 0
-    on_trial: tuple[str, ...] = ()
+    learns_temperature: bool = True
+    on_trial: Mapping[str, float] = field(default_factory=dict)
     suspected: Mapping[Sensor, Suspicion] = field(default_factory=dict)
     faces: LaidFaces | None = None
 
@@ -212,7 +214,8 @@ def _view(engine: Engine) -> View:
         thermometer=s.thermometer,
         charger=s.charger,
         rests_kept=len(s.memory),
-        on_trial=tuple(trial.term.effect for trial in s.trials),
+        learns_temperature=engine.settings.schedule.learn_temperature,
+        on_trial={trial.term.effect: trial.since for trial in s.trials},
         suspected=s.suspected,
         faces=s.faces,
     )

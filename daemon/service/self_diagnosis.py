@@ -64,10 +64,13 @@ class NightReport:
     memory_bytes: int = 0
 
     @property
-    def summary(self) -> str:
-        """The findings in one line."""
-        effects = [f"{finding['effect']} ({finding['sensor']})" for finding in self.read()]
-        return f"{self.verdict}: {', '.join(effects) or 'nothing beyond bias, scale and noise'}"
+    def headline(self) -> str:
+        """What it found, in a few words."""
+        if self.findings:
+            return f"{len(self.findings)} found, told in the next lines"
+        if self.verdict == "not_judged":
+            return "no result: too few of the checks could be made with these rests"
+        return "nothing found beyond constant bias and scale, nothing to do"
 
     def read(self) -> list[dict[str, Any]]:
         """Return the findings as plain values."""

@@ -7,10 +7,11 @@ evaluation, and it names only what varlink has: no `from __future__ import annot
 from dataclasses import dataclass
 from typing import Literal, TypedDict
 
+from stillcal.daemon.service.finding_outcomes import Handled
+
 SensorName = Literal["accelerometer", "gyroscope"]
 Confidence = Literal["unchecked", "confirmed", "failing"]
 Stage = Literal["none", "laying", "calibrated", "given_up", "stopped"]
-Handled = Literal["corrected", "on_trial", "reported"]
 
 
 @dataclass(frozen=True)
@@ -224,15 +225,18 @@ class Finding:
     """What the newest self-diagnosis found of a sensor beyond constant bias and scale.
 
     handled: corrected (a term of the calibration takes it off), on_trial (a term is tested on the rests
-    since) or reported (the calibration does not describe it). probability: of the effect. json: the whole
-    finding, as `stillcal diagnose --json` has it.
+    since) or reported (the calibration does not describe it). outcome: the same in words, with the reason.
+    size: the parameters as the statement has them. probability: of the effect. json: the whole finding, as
+    `stillcal diagnose --json` has it.
     """
 
     effect: str
     sensor: str
     axes: list[str]
     statement: str
+    size: str
     handled: Handled
+    outcome: str
     json: str
     probability: float | None = None
 

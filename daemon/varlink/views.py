@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from stillcal.calib_core.static.settings import Label, Sense
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day
 from stillcal.daemon.service.engine_thread import View
+from stillcal.daemon.service.finding_outcomes import outcome
 from stillcal.daemon.service.subscribers import Notification
 from stillcal.daemon.sources.base import Source
 from stillcal.daemon.store.document import HistoryEntry, StoreDocument
@@ -236,7 +237,8 @@ def energy(days: list[Day], limit: int) -> list[api.EnergyDay]:
 def findings(daemon: Daemon) -> api.Findings:
     """Return the newest self-diagnosis, and what became of each finding."""
     report, view = daemon.saved.night, daemon.view
-    applied = set() if view.record is None else {term.effect for term in view.record.terms}
+    read = report.read()
+    outcomes = [outcome(finding, view, daemon.document, daemon.now) for finding in read]
     return api.Findings(
         at_s=report.at,
         age_s=_age(report.at, daemon.now),
@@ -250,20 +252,16 @@ def findings(daemon: Daemon) -> api.Findings:
                 axes=finding["axes"],
                 statement=finding["statement"],
                 probability=finding["probability"],
-                handled=_handled(finding["effect"], applied, view.on_trial),
+                size=finding.get("size", ""),
+                handled=became.handled,
+                outcome=became.words,
                 json=text,
             )
-            for finding, text in zip(report.read(), report.findings, strict=True)
+            for finding, became, text in zip(read, outcomes, report.findings, strict=True)
         ],
         processor_s=report.processor_s,
         memory_bytes=report.memory_bytes,
     )
-
-
-def _handled(effect: str, applied: Collection[str], on_trial: Collection[str]) -> api.Handled:
-    if effect in applied:
-        return "corrected"
-    return "on_trial" if effect in on_trial else "reported"
 
 
 def faces(daemon: Daemon) -> api.Faces:

@@ -35,10 +35,11 @@ from stillcal.replay.diagnosis.judged import ShowStage
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.residuals import residuals_csv
-from stillcal.replay.diagnosis.rest_table import diagnose_rests
+from stillcal.replay.diagnosis.rest_table import diagnose_kept, diagnose_rests
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.formats.daemon_state import is_daemon_state
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
@@ -302,7 +303,8 @@ class _Outputs(NamedTuple):
 
 
 def _table(asked: _Asked) -> _Outputs:
-    return _Outputs(diagnose_rests(asked.reading.rests(asked.trace), asked.trace.name))
+    of_rests = diagnose_kept if is_daemon_state(asked.trace) else diagnose_rests
+    return _Outputs(of_rests(asked.reading.rests(asked.trace), asked.trace.name))
 
 
 def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:

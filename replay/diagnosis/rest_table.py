@@ -26,12 +26,22 @@ from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.diagnosis.words.names import BUILT_IN
+from stillcal.replay.diagnosis.words.relation_text import told_of_sensor
 
 LEAST_UNCERTAINTY = 1e-4
 """m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""
 
 LEAST_ROWS = 7
 """Fewer rests than the affine accelerometer has parameters to spare show nothing beyond it."""
+
+
+def diagnose_kept(rests: Sequence[RestState], name: str) -> dict[str, Any]:
+    """Return what the rests show that a daemon has kept, in words about the sensor: nobody simulated it.
+
+    Raises NotSupported as `diagnose_rests`.
+    """
+    answer = diagnose_rests(rests, name)
+    return answer | {"findings": [finding | told_of_sensor(finding) for finding in answer["findings"]]}
 
 
 def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None = None) -> dict[str, Any]:

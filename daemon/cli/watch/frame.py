@@ -16,6 +16,7 @@ from stillcal.calib_core.gravity import STANDARD
 from stillcal.daemon.cli.watch import sentences
 from stillcal.daemon.cli.watch.snapshot import Answer, Snapshot
 from stillcal.daemon.cli.watch.sphere import Glyphs, sphere_map
+from stillcal.daemon.system.plain_words import duration
 
 MAP_WIDTH, TEXT_WIDTH = 63, 56
 DEG = 180 / np.pi
@@ -65,7 +66,7 @@ def _state(now: Snapshot, before: Snapshot | None) -> RenderableType:
             ("phone", Text(f"{status['phone'] or 'unnamed'}{plugged}")),
             ("line", Text(f"{line}, {status['wire']['lost_samples']} samples lost")),
             ("stillness", Text.assemble((still, STILL.get(still, "")), f"; {sentences.last_rest(now)}")),
-            ("watch", Text(f"{status['watch']}, running for {sentences.duration(status['uptime_s'])}")),
+            ("watch", Text(f"{status['watch']}, running for {duration(status['uptime_s'])}")),
             ("diagnosis", Text(sentences.diagnosis(now))),
             ("status", Text(sentences.next_step(now), style="bold")),
         ]
@@ -89,7 +90,7 @@ def _reason(now: Snapshot) -> str:
 
 
 def _calibration(calibration: Answer, reason: str) -> Iterable[RenderableType]:
-    age, checked = (sentences.duration(calibration.get(name)) for name in ("age_s", "checked_age_s"))
+    age, checked = (duration(calibration.get(name)) for name in ("age_s", "checked_age_s"))
     verified = {
         "unchecked": "not verified yet",
         "confirmed": f"verified {checked} ago",

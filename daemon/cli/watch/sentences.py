@@ -17,25 +17,10 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.rest_pool import PoolSettings
 from stillcal.calib_core.static.rest import attitude_labels, directions
 from stillcal.daemon.cli.watch.snapshot import Answer, Snapshot
+from stillcal.daemon.system.plain_words import duration
 
 LIMIT = 1.0
 """Amplification (observability.py) up to which the rests support every direction: no attitude is missing."""
-
-
-def duration(seconds: float | None) -> str:
-    """Return a length of time (s) in words, in its two largest units.
-
-    >>> duration(5025.0), duration(42.4), duration(None)
-    ('1 h 23 min', '42 s', '-')
-    """
-    if seconds is None:
-        return "-"
-    whole = round(seconds)
-    for unit, name, part, smaller in ((86400, "d", 3600, "h"), (3600, "h", 60, "min"), (60, "min", 1, "s")):
-        if whole >= unit:
-            rest = whole % unit // part
-            return f"{whole // unit} {name}" + (f" {rest} {smaller}" if rest else "")
-    return f"{whole} s"
 
 
 def up_directions(now: Snapshot) -> Array:
@@ -112,6 +97,9 @@ def laying_faces(faces: Answer) -> str:
     return f"{note}{faces['done']} of {len(FACE_DIRECTIONS)} faces: {faces['missing'][0]}"
 
 
+MOST_FINDINGS = 3
+"""Findings that are shown in the frame."""
+
 HANDLED = {"corrected": "corrected", "on_trial": "being tested", "reported": "not corrected"}
 """What became of a finding, in words."""
 
@@ -123,8 +111,11 @@ def diagnosis(now: Snapshot) -> str:
         return f"no result: {found['trouble']}"
     if found.get("at_s") is None:
         return "none yet: it runs at night on the charger"
-    effects = [f"{f['effect']} of {f['sensor']} ({HANDLED[f['handled']]})" for f in found["findings"]]
-    return f"{duration(found.get('age_s'))} ago: {', '.join(effects) or 'nothing beyond bias and scale'}"
+    effects = [f"{f['statement'].partition(':')[0]} ({HANDLED[f['handled']]})" for f in found["findings"]]
+    if len(effects) > MOST_FINDINGS:
+        more = len(effects) - MOST_FINDINGS
+        effects = [*effects[:MOST_FINDINGS], f"{more} more, see `stillcal query GetFindings`"]
+    return f"{duration(found.get('age_s'))} ago: {'. '.join(effects) or 'nothing beyond bias and scale'}"
 
 
 def _missing_for_calibration(now: Snapshot) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.judged import Judged
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.pictures import Album, Picture
@@ -29,7 +30,7 @@ from stillcal.replay.diagnosis.words.names import (
     simulation_text,
 )
 from stillcal.replay.diagnosis.words.next_recording import to_record
-from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, probability_text, with_interval
+from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
 from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in
 from stillcal.replay.palette import BLUE, GREEN, RED

@@ -44,6 +44,20 @@ def noun(effect: str, sensor: str) -> str:
     return f"{name} ({SENSORS[sensor]})" if effect in OF_EITHER and sensor in SENSORS else name
 
 
+ON_AXES = " on {axes}."
+"""How a sentence of the catalogue ends that has a place for the axes."""
+
+
+def behaviour(effect: str, sensor: str) -> str:
+    """Return what a sensor does that has an effect, as a sentence without its stop."""
+    named = {(e.name, e.sensor): e.sentence for e in named_effects()}
+    sentence = named.get((effect, sensor), "")
+    if sentence.endswith(ON_AXES):
+        return sentence.removesuffix(ON_AXES).removesuffix(",")
+    known = DESCRIBED.get(effect)
+    return f"The {SENSORS[sensor]} shows {known.noun if known else noun(effect, sensor)}"
+
+
 PARAMETERS = {
     "tau_s": "time constant",
     "period_s": "period",

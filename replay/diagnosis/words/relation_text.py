@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED
 from stillcal.replay.diagnosis.words.names import (
     BUILT_IN,
     THE_BUILT_IN,
+    behaviour,
     capital,
     noun,
     parameter_noun,
@@ -28,14 +29,6 @@ MOST_PARAMETERS = 3
 
 MOST_ELEMENTS = 3
 """Elements of a matrix that a sentence gives; the page and --json have all nine."""
-
-NEARLY_CERTAIN = 0.9995
-"""Probability that three digits would round to one."""
-
-
-def probability_text(probability: float) -> str:
-    """Return a probability in three digits; what rounds to certainty is said to be above 0.999."""
-    return "above 0.999" if probability > NEARLY_CERTAIN else f"{probability:.3f}"
 
 
 def labels_of(name: str, count: int) -> list[str]:
@@ -108,6 +101,18 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
     text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
+
+
+def told_of_sensor(finding: Mapping[str, Any]) -> dict[str, str]:
+    """Return what a finding says of the sensor itself, where nobody made a simulation: statement and size."""
+    if finding["effect"] == "unknown":
+        size = _sizes(finding, "parameters")
+        said = f"{behaviour('unknown', finding['sensor'])}; it follows {finding['where']['driver']}"
+    else:
+        size, said = _every(finding, "parameters"), behaviour(finding["effect"], finding["sensor"])
+    text = f"{said}: {size}." + _at_temperature(finding) + _undistinguished(finding)
+    assumed = f" {finding['assumption']}" if "assumption" in finding else ""
+    return {"statement": text + assumed, "size": size}
 
 
 def _at_temperature(finding: Mapping[str, Any]) -> str:

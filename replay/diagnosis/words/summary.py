@@ -9,8 +9,9 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
 from stillcal.calib_core.diagnosis.comparison.records import LEVEL
+from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
-from stillcal.replay.diagnosis.words.relation_text import probability_text, with_interval
+from stillcal.replay.diagnosis.words.relation_text import with_interval
 
 VERDICTS = {
     "match": "No difference found",

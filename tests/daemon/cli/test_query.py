@@ -48,8 +48,8 @@ def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, ma
                 said = await query("GetHistory", wrong)
                 expected = f"{why}; expected: GetHistory(limit: ?int) (? may be left out)\n"
                 assert (said.returncode, expected in said.stderr) == (2, True), said.stderr
-            for wrong, why in (((), "is missing"), (("samples=[[1,2]]",), "has a wrong type or value")):
-                said = await query("Correct", "sensor=gyroscope", *wrong)
+            for words, why in (((), "is missing"), (("samples=[[1,2]]",), "has a wrong type or value")):
+                said = await query("Correct", "sensor=gyroscope", *words)
                 assert f"samples {why}; expected: Correct(sensor: (accelerometer, gyr" in said.stderr
                 assert "[][] a list of rows [x, y, z]" in said.stderr
 
@@ -105,3 +105,17 @@ def test_a_table_is_aligned_and_says_what_it_leaves_out() -> None:
     assert len(text) == 1 + 1 + MOST_ROWS + 1
     assert text[-1].strip() == "(1 more: --json prints all)"
     assert "more" not in "\n".join(lines({"rows": rows[:MOST_ROWS]}))
+
+
+def test_a_table_with_several_long_texts_gives_them_lines_of_their_own_below_their_row() -> None:
+    rows = [
+        {"effect": f"e{n}", "size": "x " * 40, "json": "{}", "probability": 1.0, "outcome": f"{n} y " * 30}
+        for n in range(2)
+    ]
+    text = list(lines({"findings": rows}))
+    assert text[1].split() == ["effect", "probability"] and "json" not in "\n".join(text)
+    assert text[2].split() == ["e0", "above", "0.999"]
+    assert text[3].strip().startswith("size: x x") and max(map(len, text)) <= 110
+    (first,) = [i for i, line in enumerate(text) if line.strip().startswith("e1")]
+    assert any("outcome: 0 y" in line for line in text[:first])
+    assert any("outcome: 1 y" in line for line in text[first:])

@@ -88,8 +88,16 @@ def test_at_night_it_finds_what_its_rests_show_and_puts_it_on_trial(
     (one,) = [json.loads(f["json"]) for f in found["findings"] if f["effect"] == EFFECT]
     assert np.allclose(one["parameters"]["matrix"]["value"], MATRIX, atol=1e-5)
     assert 0.5 < found["processor_s"] < 60.0 and 30e6 < found["memory_bytes"] < 384 * 2**20
-    assert f"{EFFECT} of gyro (being tested)" in answers["watched"]
-    assert "self-diagnosis: identified: " in caplog.text
+    assert "sensitive to acceleration (g-sensitivity) (being tested)" in answers["watched"]
+    assert "The gyroscope's bias changes with temperature (corrected)" in answers["watched"]
+    said = [line for line in caplog.text.splitlines() if "self-diagnosis: " in line]
+    assert len(said) == 1 + 3 and "3 found" in said[0] and "simulation" not in caplog.text
+    (tested,) = [line for line in said if "g-sensitivity" in line]
+    assert "deg/s/g" in tested and "Not corrected yet: tested on later rests" in tested
+    assert all("deg/s/K" in line or "mg/K" in line for line in said if "Corrected" in line)
+    (shown,) = [f for f in found["findings"] if f["effect"] == "gyro_bias_temperature"]
+    assert shown["statement"] == f"The gyroscope's bias changes with temperature: {shown['size']}."
+    assert shown["outcome"].startswith("corrected") and "mg/K" not in shown["size"]
     kept = saved_state.load(folder / "store.state").state
     assert kept.night.verdict == "identified"
     assert [trial.term.effect for trial in kept.engine.trials] == [EFFECT]

@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
+from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
+from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
+from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.words.names import BUILT_IN
-from stillcal.replay.diagnosis.words.relation_text import probability_text, statement
+from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
@@ -179,3 +183,30 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     assert "(accelerometer), from 0 to 831 s, step up to 3.06 mg (the axes are not told apart);" in text
     many = {"amplitude": {"value": (0.01 * np.eye(3)).tolist(), "unit": "rad/s"}}
     assert "amplitude up to 0.573 deg/s;" in statement(finding | {"parameters": many}, ("real.csv", BUILT_IN))
+
+
+def test_a_daemons_user_is_told_of_the_sensor_and_of_no_simulation() -> None:
+    def of_sensor(effect: str, sensor: str, **more: Any) -> str:
+        finding: dict[str, Any] = {
+            "effect": effect,
+            "sensor": sensor,
+            "axes": ["x"],
+            "where": {"driver": "time since start"},
+            "alternatives": [],
+            "parameters": {"size": {"value": 2e-3, "unit": "rad/s", "ci95": [1.9e-3, 2.1e-3]}},
+            "simulated": {},
+            "difference": {},
+        }
+        told = told_of_sensor(finding | more)
+        assert told["size"] in told["statement"] and told["statement"].endswith(".")
+        return told["statement"]
+
+    named = [(e.name, e.sensor) for e in named_effects()]
+    for effect, sensor in (*named, *((effect, "gyro") for effect in DESCRIBED)):
+        text = of_sensor(effect, sensor)
+        assert text.startswith(f"The {SENSORS[sensor]}") and "simulation" not in text and "{" not in text
+    assert of_sensor("gyro_warmup", "gyro").startswith(
+        "The gyroscope's bias settles after the start of the re"
+    )
+    assert "it follows time since start" in of_sensor("unknown", "gyro")
+    assert of_sensor("gyro_warmup", "gyro", assumption="So it is.").endswith(" So it is.")
