@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
+from stillcal.calib_core.diagnosis.comparison.pair.stands import with_own_of_simulation
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
@@ -78,7 +79,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     true = motion.readings
     bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0, motion.added)
     exam = examined_in_pair(recorded, bins, scenes, motion.found, lambda done: show_stage(READINGS, done))
-    slow = compare_in_pair(exam, motion)
+    slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
     before = slow.and_of(values)
     fit = Fit.of(before, before)
     if before.discrepancies:

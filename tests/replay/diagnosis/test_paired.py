@@ -132,6 +132,33 @@ def test_what_fits_no_model_in_motion_is_no_bias_and_no_scale() -> None:
     assert (said["verdict"], said["findings"]) == ("match", [])
 
 
+def warmed(made: Recording, name: str, slope: float, scale: float = 0.0) -> Recording:
+    """Return a recording whose force on x follows temperature, m/s^2/K, and reads a part too much."""
+    accel = made.accelerometer
+    warmth = 6.0 * np.sin(4.0 * np.pi * accel.t / accel.t[-1])
+    xyz = accel.xyz * np.array([1.0 + scale, 1.0, 1.0]) + np.outer(warmth, [slope, 0.0, 0.0])
+    changed = replace(accel, xyz=frozen(xyz), temperature=frozen(30.0 + warmth))
+    return replace(made, accelerometer=changed, name=name)
+
+
+def test_a_simulation_that_has_more_of_an_effect_does_not_lack_it() -> None:
+    """By its own rests it has twice the slope, and a scale that the recording has nothing of."""
+    recorded, simulated = 0.01, 0.02
+    real, sim = warmed(turned(1), "real.csv", recorded), warmed(turned(2), "sim.csv", simulated, 0.02)
+    said = judge_paired(real, sim).answer
+    found = {f["effect"]: f for f in said["findings"]}
+    assert {effect: f["relation"] for effect, f in found.items()} == {
+        "accel_bias_temperature": "too_large",
+        "accel_scale": "superfluous",
+    }
+    slope = found["accel_bias_temperature"]
+    assert "lacks" not in slope["statement"]
+    for side, truth in (("simulated", simulated), ("difference", recorded - simulated)):
+        low, high = slope[side]["slope"]["ci95"][0]
+        assert low <= truth <= high
+    assert said["verdict"] == "identified"
+
+
 def bent(force: Array, rate: Array) -> tuple[Array, Array]:
     return force, rate + rate**3 * np.array([1.5e-3, 0.0, 0.0])
 

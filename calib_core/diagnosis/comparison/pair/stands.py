@@ -1,0 +1,92 @@
+"""How a simulation of the same motion stands to the recording: what it has by itself of what they differ by.
+
+The difference of the readings says by how much the two differ, and not which of them has the effect. The
+simulation's own rests and turns say what it has; the recording has that and the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.assumed_temperature import warmed
+from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity
+from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Quantity
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
+
+PAIRS = ((0, 1), (0, 2), (1, 2))
+"""The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
+
+
+def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Examination) -> Comparison:
+    """Return a comparison that says of each difference what the simulation has of it by itself.
+
+    exam: of the pair; simulated: the simulation by itself, not searched. Where it does not show the effect
+    beyond chance, or cannot, it lacks what it differs by, as before.
+    """
+    wanted = [*wanted_of(exam), *_of_turns(found)]
+    no_thermometer = simulated.bins.temperature is None and exam.bins.temperature is not None
+    simulated = warmed(simulated, exam.bins) if no_thermometer and len(simulated.bins) else simulated
+    differences = [d.difference for d in found.discrepancies if d.difference is not None]
+    own = linear_quantities(simulated, wanted, _references(differences)) | delay_quantity(simulated)
+    return replace(found, discrepancies=[_standing(d, own) for d in found.discrepancies])
+
+
+def _of_turns(found: Comparison) -> list[Wanted]:
+    """Return the effects that turns show, to be measured in the turns of the simulation."""
+    said = {(d.effect, d.sensor): d.difference.value.size for d in found.discrepancies if d.difference}
+    return [
+        Wanted("turn", Hypothesis(e, {}, ()), {})
+        for e in effects_of("gyro", in_turns=True)
+        if said.get((e.name, e.sensor)) == sum(p.count for p in e.parameters)
+    ]
+
+
+def _references(differences: Sequence[Difference]) -> dict[str, float]:
+    """Return, by sensor, the degC at which bias and scale of a pair are stated."""
+    at = "temperature_c"
+    return {d.recorded.sensor: d.recorded.reference[at] for d in differences if at in d.recorded.reference}
+
+
+def _standing(one: Discrepancy, own: dict[Key, Quantity]) -> Discrepancy:
+    """Return a difference beside what the simulation itself has, if it has anything."""
+    apart, simulated = one.difference, own.get((one.effect, one.sensor))
+    if apart is None or simulated is None:
+        return one
+    value, covariance = _as_stated(simulated, apart)
+    had = replace(apart.recorded, value=value, covariance=covariance)
+    if not had.shows():
+        return one
+    both = _scaled(value, apart.value) if one.effect.endswith("_scale") else value + apart.value
+    more = replace(had, value=both, covariance=covariance + apart.covariance)
+    whole = replace(apart, recorded=more, simulated=had, value=both - value)
+    return replace(one, relation=whole.relation(), difference=whole)
+
+
+def _scaled(own: Array, apart: Array) -> Array:
+    """Return the scale (9,) of the recording's correction: to the simulation's readings, then by its own."""
+    first, then = (np.eye(3) + value.reshape(3, 3) for value in (apart, own))
+    return np.asarray((then @ first - np.eye(3)).ravel())
+
+
+def _as_stated(simulated: Quantity, apart: Difference) -> tuple[Array, Array]:
+    """Return a simulation's own numbers (k,) with their covariance, laid out as those of the difference.
+
+    An accelerometer's scale and misalignment by rests are the symmetric part of the pair's nine numbers.
+    """
+    k = apart.value.size
+    if simulated.value.size == k:
+        return simulated.value, simulated.covariance
+    spread = np.zeros((3, 3, simulated.value.size))
+    spread[range(3), range(3), range(3)] = 1.0
+    for number, (a, b) in enumerate(PAIRS, start=3):
+        spread[[a, b], [b, a], number] = 1.0
+    laid = spread.reshape(k, -1)
+    return laid @ simulated.value, laid @ simulated.covariance @ laid.T
