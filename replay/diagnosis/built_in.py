@@ -13,9 +13,8 @@ from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.replay.diagnosis.answer import Fit, answer_of
-from stillcal.replay.diagnosis.corrected import with_columns
+from stillcal.replay.diagnosis.corrected import with_known
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent
 from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.words.names import BUILT_IN
@@ -47,12 +46,6 @@ def judge_built_in(
     return Judged(recording, recorded, None, before, after, corrected, answer, case)
 
 
-def _of_columns(recorded: Examination) -> set[str]:
-    """Return the effects found that follow further columns."""
-    stated = [s.hypothesis.effect for s in recorded.statements if s.hypothesis is not None]
-    return {effect.name for effect in stated if isinstance(effect, CovariateBias)}
-
-
 def _played(
     case: Case, recorded: Examination, before: Comparison, names: tuple[str, str], show_stage: ShowStage
 ) -> tuple[Fit, Comparison | None, Recording | None]:
@@ -60,11 +53,9 @@ def _played(
     if not len(case.bins):
         return Fit.of(before, None, case.not_in_phone()), None, None
     show_stage("simulating the recording's motion with the effects found", 0.0)
-    corrected = named(case.played(case.phone()), f"{BUILT_IN}, corrected")
-    left_out = case.not_in_phone()
-    if case.recording.covariates:
-        corrected = with_columns(corrected, recorded, case.recording.covariates)
-        left_out = [effect for effect in left_out if effect not in _of_columns(recorded)]
+    corrected = named(with_known(case.played(case.phone()), case.beside), f"{BUILT_IN}, corrected")
+    beside = {known.effect.name for known in case.beside}
+    left_out = [effect for effect in case.not_in_phone() if effect not in beside]
     # What another recording can have as well is measured in both; the rest must be found again.
     search = any(s.hypothesis and not transferable(s.hypothesis) for s in recorded.statements)
     after = compare(recorded, examined(corrected, show_stage, search=search), names)

@@ -20,20 +20,19 @@ from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
-from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.windows import Windows
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.diagnosis.slow.taken_off import Known
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording, overview_of
 from stillcal.replay.diagnosis.judged import charging_events
+from stillcal.replay.diagnosis.phone.case import with_errors
 from stillcal.replay.formats.trace import Recording
 
 MATRIX_NUMBERS = 9
@@ -80,16 +79,30 @@ def correct(
     for line in filter(None, map(_new_line, discrepancies)):
         there = _there(known.force.t, line)
         power[line.sensor] += np.outer(there, np.square(line.parameters["amplitude"].value) / 2.0)
-    overview = replace(
-        known,
-        force=_windows(known.force, changed.accelerometer, power["accel"]),
-        rate=None
-        if known.rate is None or changed.gyroscope is None
-        else _windows(known.rate, changed.gyroscope, power["gyro"]),
-    )
     held = corrected.recording
     assert isinstance(held, LongRecording), "made of one"
+    overview = _changed_overview(known, changed, power)
     return Corrected(replace(held, overview=overview), corrected.left_out)
+
+
+def with_known(simulation: Recording, known: Sequence[Known]) -> Recording:
+    """Return a simulation with what the known effects add put into samples and, of a long one, seconds."""
+    changed = with_errors(simulation, known)
+    if not isinstance(changed, LongRecording) or changed.overview is None:
+        return changed
+    # The seconds are as they were.
+    seconds = with_errors(_seconds(changed, changed.overview), known)
+    none = np.zeros((len(changed.overview), 3))
+    overview = _changed_overview(changed.overview, seconds, {"accel": none, "gyro": none})
+    return replace(changed, overview=overview)
+
+
+def _changed_overview(overview: Overview, changed: Recording, power: Mapping[str, Array]) -> Overview:
+    """Return every second with other means. changed: those; power: (n, 3) by sensor, of what is added."""
+    rate = overview.rate
+    if rate is not None and changed.gyroscope is not None:
+        rate = _windows(rate, changed.gyroscope, power["gyro"])
+    return replace(overview, force=_windows(overview.force, changed.accelerometer, power["accel"]), rate=rate)
 
 
 def _seconds(simulation: LongRecording, overview: Overview) -> Recording:
@@ -147,26 +160,6 @@ def _with_added(
     accelerometer = streams["accel"]
     assert accelerometer is not None, "every recording has an accelerometer"
     return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
-
-
-def with_columns(simulation: Recording, recorded: Examination, columns: Mapping[str, Course]) -> Recording:
-    """Return a simulation with the biases that were found to follow further columns, and these columns."""
-    streams = {"accel": simulation.accelerometer, "gyro": simulation.gyroscope}
-    for stated in recorded.statements:
-        if stated.hypothesis is None or stated.scene is None:
-            continue
-        effect, samples = stated.hypothesis.effect, streams[stated.finding.sensor]
-        if not isinstance(effect, CovariateBias) or samples is None:
-            continue
-        # About the mean that the slope was fitted about, so that the bias stays the same.
-        away = columns[effect.column].at(samples.t) - stated.scene.moments.covariates[effect.column].mean()
-        added = np.outer(away, np.ravel(stated.finding.parameters["slope"].value))
-        streams[stated.finding.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
-    accelerometer = streams["accel"]
-    assert accelerometer is not None, "every recording has an accelerometer"
-    return replace(
-        simulation, accelerometer=accelerometer, gyroscope=streams["gyro"], covariates=dict(columns)
-    )
 
 
 def _added(

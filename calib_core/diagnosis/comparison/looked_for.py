@@ -83,9 +83,12 @@ def slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
 def _of_columns(exam: Examination) -> dict[tuple[str, str], tuple[str, bool]]:
     """Return by effect and sensor the further columns that were logged, and whether each moves at rest."""
     return {
-        (CovariateBias(scene.sensor, column, 1.0).name, scene.sensor): (column, moves(values))
+        (CovariateBias(scene.sensor, column, 1.0).name, scene.sensor): (
+            column,
+            moves(scene.moments.column(column)),
+        )
         for scene in exam.scenes
-        for column, values in scene.moments.covariates.items()
+        for column in scene.covariates
     }
 
 

@@ -81,7 +81,8 @@ def effects_in(scene: Scene, without: Collection[str] = ()) -> list[Effect]:
     """Return what is judged on a scene: the catalogue, and a bias that follows each further logged column."""
     logged: list[Effect] = []
     if not scene.turns:
-        spreads = {name: float(np.ptp(x)) for name, x in scene.moments.covariates.items() if x.size}
+        moments = scene.moments
+        spreads = {name: float(np.ptp(moments.column(name))) for name in moments.history.columns}
         logged = [
             CovariateBias(scene.sensor, name, spread) for name, spread in spreads.items() if spread > 0.0
         ]

@@ -35,17 +35,15 @@ class CovariateBias(BiasEffect):
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return one point where the column was logged and changes."""
-        x = moments.covariates.get(self.column)
-        return [{}] if x is not None and moves(x) else []
+        return [{}] if self.can_play(moments, {}) and moves(moments.column(self.column)) else []
 
     def can_play(self, moments: Moments, grid: Grid) -> bool:
         """Whether the column was logged."""
-        return self.column in moments.covariates
+        return self.column in moments.history.columns
 
     def curve(self, moments: Moments, grid: Grid) -> Array:
-        """Return the column about its mean, in its own unit."""
-        x = moments.covariates[self.column]
-        return np.asarray(x - x.mean())
+        """Return the column about its mean at rest, in its own unit."""
+        return moments.column(self.column)
 
 
 def of_column(hypothesis: Hypothesis) -> bool:

@@ -15,9 +15,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.temperature import known
 from stillcal.calib_core.diagnosis.model.effect import Dictionary, centred
-from stillcal.calib_core.diagnosis.model.moments import Moments, filtered, moves
+from stillcal.calib_core.diagnosis.model.moments import Moments, first_order, moves
 from stillcal.calib_core.diagnosis.segments.static_bins import Index
-from stillcal.calib_core.diagnosis.segments.windows import WINDOW
+from stillcal.calib_core.streams.course import Course
 
 MOST_BORDERS = 250
 CYCLES = 40.0
@@ -143,10 +143,7 @@ def warmth(moments: Moments, lag: float) -> Array | None:
     now = moments.temperature
     if now is None or not known(moments) or lag == 0.0:
         return now if known(moments) else None
-    grid = np.arange(moments.t[0], moments.t[-1] + WINDOW, WINDOW)
-    fine = np.interp(grid, moments.t, now)
-    late = now[0] + filtered(fine - now[0], float(np.exp(-WINDOW / lag)))
-    return np.asarray(np.interp(moments.t, grid, late))
+    return first_order(Course(moments.t, now), lag).at(moments.t)
 
 
 def heating(moments: Moments, lag: float) -> Array | None:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.bias import BiasEffect
+from stillcal.calib_core.diagnosis.effects.bias import PolynomialBias
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.moments import Moments, moves
 from stillcal.calib_core.diagnosis.model.records import NAME
-from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 LEAST_SPAN = 0.3
 """K that temperature must change by: thermometers of phones read in steps of 0.1 K or more."""
@@ -34,8 +31,8 @@ def _warmth(moments: Moments) -> Array:
     return moments.temperature
 
 
-class BiasTemperature(BiasEffect):
-    """The bias is a polynomial in temperature: a straight line, or with a bend, or turning twice."""
+class BiasTemperature(PolynomialBias):
+    """The bias is a polynomial in temperature."""
 
     kind = "bias_temperature"
     says = "changes with temperature"
@@ -46,13 +43,7 @@ class BiasTemperature(BiasEffect):
     decides = "let the phone warm and cool twice, in several attitudes"
 
     def __init__(self, sensor: str, degree: int = 1) -> None:
-        super().__init__(sensor)
-        self.degree = degree
-        size, unit = PER_KELVIN[sensor], UNIT[sensor]
-        self.parameters = tuple(
-            Linear(name, f"{unit}/K{power}", 3, size / REACH_K**i)
-            for i, (name, power) in enumerate((("slope", ""), ("quadratic", "^2"), ("cubic", "^3"))[:degree])
-        )
+        super().__init__(sensor, degree, ("/K", "/K^2", "/K^3"), slope=PER_KELVIN[sensor], reach=REACH_K)
         self.look_alikes = (f"{sensor}_warmup", f"{sensor}_bias_drift", f"{sensor}_scale_temperature")
 
     def points(self, moments: Moments) -> Sequence[Grid]:
@@ -63,11 +54,6 @@ class BiasTemperature(BiasEffect):
     def curve(self, moments: Moments, grid: Grid) -> Array:
         """Return temperature about its mean, K."""
         return _warmth(moments)
-
-    def response(self, moments: Moments, grid: Grid) -> Array:
-        """Return the powers of temperature on each axis, (n, 3, 3 degree)."""
-        warm = _warmth(moments)
-        return np.concatenate([on_axes(warm**p) for p in range(1, self.degree + 1)], axis=2)
 
 
 class ScaleTemperature(Effect):

@@ -20,13 +20,15 @@ class History:
     """The recording as a whole. span: (start, end) s; activity: (w, 2) s and 1 where the phone moved.
 
     switches: (m, 2) s and 1 on or 0 off the charger, None without charging events; reference_c: degC about
-    which temperatures are counted, None without a thermometer.
+    which temperatures are counted, None without a thermometer. columns: further logged columns by name, each
+    in its own unit about its mean in the static bins.
     """
 
     span: tuple[float, float]
     activity: Array
     switches: Array | None = None
     reference_c: float | None = None
+    columns: Mapping[str, Course] = field(default_factory=dict)
 
     @property
     def charger_moved(self) -> bool:
@@ -61,8 +63,7 @@ class Moments:
     t, duration: (n,) s, the middle of what a moment is the mean over and how long that is (0: an instant).
     force: (n, 3) m/s^2 and rate: (n, 3) rad/s, what true sensors would read, body axes; None where unknown.
     temperature: (n,) K about `history.reference_c`; charging: (n,) part of the moment on the charger;
-    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded. covariates: further
-    logged columns (n,) by name, each in its own unit.
+    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded.
     """
 
     t: Array
@@ -74,7 +75,6 @@ class Moments:
     charging: Array | None = None
     vibration: Array | None = None
     rest: Index | None = None
-    covariates: Mapping[str, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -91,6 +91,10 @@ class Moments:
             return None
         return np.asarray(self.force / np.linalg.norm(self.force, axis=1, keepdims=True))
 
+    def column(self, name: str) -> Array:
+        """Return a further logged column (n,), in its own unit, about its mean in the static bins."""
+        return self.history.columns[name].mean(self.t, self.duration)
+
     def during(self, rows: slice) -> Moments:
         """Return the drivers at some of the moments, those of motion only."""
 
@@ -105,21 +109,32 @@ class Moments:
         return float((self.t[i - 1] + self.duration[i - 1] / 2 + self.t[i] - self.duration[i] / 2) / 2)
 
 
+def mean_in(course: Course, bins: Bins) -> float:
+    """Return the mean of a logged column in static bins."""
+    return float(course.mean(bins.t, bins.duration).mean())
+
+
 def moments_of(bins: Bins, force: Array | None, covariates: Mapping[str, Course]) -> Moments:
-    """Return the drivers in static bins. force: (n, 3) m/s^2, gravity in body axes; None where unknown."""
+    """Return the drivers in static bins. force: (n, 3) m/s^2, gravity in body axes; None where unknown.
+
+    covariates: further logged columns by name, each in its own unit.
+    """
+    columns = {
+        name: replace(course, values=course.values - mean_in(course, bins))
+        for name, course in covariates.items()
+    }
     warm, (start, end) = bins.temperature, bins.span
     reference = None if warm is None or not warm.size else float(warm.mean())
     return Moments(
         bins.t,
         bins.duration,
-        History((float(start), float(end)), bins.activity, bins.charging_switches, reference),
+        History((float(start), float(end)), bins.activity, bins.charging_switches, reference, columns),
         force,
         np.zeros((len(bins), 3)),
         None if warm is None else np.asarray(warm - (reference or 0.0)),
         bins.charging,
         bins.vibration,
         bins.rest,
-        {name: course.mean(bins.t, bins.duration) for name, course in covariates.items()},
     )
 
 
@@ -133,6 +148,13 @@ def filtered(source: Array, decay: float) -> Array:
     from scipy.signal import lfilter  # noqa: PLC0415 - the daemon stays light
 
     return np.asarray(lfilter([1.0 - decay], [1.0, -decay], source))
+
+
+def first_order(course: Course, tau: float) -> Course:
+    """Return what a first-order system of a time constant, s, makes of a course: in balance at first."""
+    t = np.arange(course.t[0], course.t[-1] + WINDOW, WINDOW)
+    source = course.mean(t, np.full(t.size, WINDOW))
+    return Course(t, source[0] + filtered(source - source[0], float(np.exp(-WINDOW / tau))))
 
 
 def at_samples(
@@ -168,5 +190,4 @@ def turning(moments: Moments, t: Array, rate: Array, temperature: float) -> Mome
         charging=None,
         vibration=None,
         rest=None,
-        covariates={},
     )

@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.model.moments import Moments, at_samples
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.samples import Samples, Sensor
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,7 +39,7 @@ class Known:
             if hypothesis is None or scene is None or scene.turns or one.finding.effect == "unknown":
                 continue
             effect, moments = hypothesis.effect, scene.moments
-            if not moments.covariates and effect.can_play(moments, hypothesis.grid):
+            if effect.can_play(moments, hypothesis.grid):
                 sizes = [np.ravel(one.finding.parameters[p.name].value) for p in effect.parameters]
                 found.append(cls(effect, hypothesis.grid, moments, np.concatenate(sizes)))
         return found
@@ -47,6 +47,24 @@ class Known:
     def error(self, moments: Moments) -> Array:
         """Return what the effect adds (n, 3) to the sensor's output at some moments, SI."""
         return np.asarray(self.effect.response(moments, self.grid) @ self.value)
+
+    def during(self, samples: Samples, accelerometer: Samples) -> Moments:
+        """Return the drivers at samples (n,) of the recording; temperature and charging as between bins."""
+        t, bins = samples.t, self.moments
+        warm, plugged = (
+            None if column is None else np.interp(t, bins.t, column)
+            for column in (bins.temperature, bins.charging)
+        )
+        return at_samples(t, bins.history, (accelerometer, samples.xyz), warm, plugged)
+
+
+def error_of(samples: Samples, known: Iterable[Known], accelerometer: Samples) -> Array:
+    """Return what the known effects of their sensor add to samples (n, 3), SI."""
+    added = np.zeros_like(samples.xyz)
+    for one in known:
+        if one.effect.sensor == ("accel" if samples.sensor is Sensor.ACCELEROMETER else "gyro"):
+            added = added + one.error(one.during(samples, accelerometer))
+    return added
 
 
 def off_bins(bins: Bins, known: Sequence[Known]) -> Bins:
@@ -85,16 +103,7 @@ class OffRates:
         """Return the rate (n, 3) of some of the gyroscope's samples, rad/s."""
         rate = np.asarray(samples.xyz)
         for one in self.known:
-            rate = rate - one.error(self._during(one.moments, samples))
+            made = one.during(samples, self.accelerometer)
+            assert made.force is not None, "of an accelerometer"
+            rate = rate - one.error(replace(made, force=(made.force - self.bias) @ self.scale.T))
         return rate
-
-    def _during(self, bins: Moments, samples: Samples) -> Moments:
-        """Return the drivers at the samples; temperature and charging as interpolated between bins."""
-        t = samples.t
-        warm, plugged = (
-            None if column is None else np.interp(t, bins.t, column)
-            for column in (bins.temperature, bins.charging)
-        )
-        made = at_samples(t, bins.history, (self.accelerometer, samples.xyz), warm, plugged)
-        assert made.force is not None, "of an accelerometer"
-        return replace(made, force=(made.force - self.bias) @ self.scale.T)

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.taken_off import Known, error_of, off_bins
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
@@ -43,8 +44,10 @@ ROUNDS = 3
 class Case:
     """A recording with what an ideal sensor lacks of it.
 
-    mapped: the findings, each with its effect in a phone file. affine: the constants fitted with these.
-    cutoffs: Hz, of the low-passes that the noise shows, by sensor, also of those that sound phones have.
+    mapped: the findings, each with its effect in a phone file. beside: those of them that a phone file cannot
+    have, such as a bias that follows a logged column; the bins are without what these add. affine: the
+    constants fitted with all of them. cutoffs: Hz, of the low-passes that the noise shows, by sensor, also of
+    those that sound phones have.
     """
 
     recording: Recording
@@ -52,6 +55,7 @@ class Case:
     gravity: float
     conditions: Conditions
     mapped: tuple[MappedFinding, ...]
+    beside: tuple[Known, ...]
     affine: AffinePhone
     cutoffs: Mapping[str, float]
 
@@ -65,14 +69,14 @@ class Case:
         )
 
     def played(self, phone: Phone, conditions: Conditions | None = None) -> Recording:
-        """Return what a phone would have recorded of this recording's motion.
+        """Return what a phone would have recorded of this recording's motion, beside the same columns.
 
         conditions: other than the recording's own, whose reference temperature is its mean.
         """
-        motion = motion_of(
-            self.recording, self.bins, self.affine, self.effects, self.conditions, gravity=self.gravity
-        )
-        return resimulate(self.recording, motion, conditions or self.conditions, phone, seed=SEED)
+        bare = with_errors(self.recording, self.beside, -1.0)
+        motion = motion_of(bare, self.bins, self.affine, self.effects, self.conditions, gravity=self.gravity)
+        made = resimulate(self.recording, motion, conditions or self.conditions, phone, seed=SEED)
+        return replace(made, covariates=self.recording.covariates)
 
     @property
     def effects(self) -> list[Effect]:
@@ -80,7 +84,7 @@ class Case:
         return [m.effect for m in self.mapped if m.effect is not None]
 
     def not_in_phone(self) -> list[str]:
-        """Return the effects found that a phone file cannot have."""
+        """Return the effects found that a phone file cannot have, without those of a density."""
         return [
             m.finding.effect for m in self.mapped if m.effect is None and m.finding.effect not in OF_DENSITY
         ]
@@ -92,41 +96,60 @@ def _filtered(settings: SensorSettings, cutoff: float | None) -> SensorSettings:
 
 def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) -> Case:
     """Return a recording's case. against_ideal: its comparison with an ideal sensor."""
-    conditions, gravity = conditions_of(exam.bins), exam.claims.gravity
+    conditions, gravity, bins = conditions_of(exam.bins), exam.claims.gravity, exam.bins
     findings = [d.recorded for d in against_ideal.discrepancies if d.recorded is not None]
-    mapped = tuple(map_findings(findings, exam.bins, conditions))
+    mapped = tuple(map_findings(findings, bins, conditions))
     effects = [m.effect for m in mapped if m.effect is not None]
-    affine = fit_affine(exam.bins, effects, conditions, gravity)
+    foreign = {id(m.finding) for m in mapped if m.effect is None}
+    beside = tuple(Known.among(s for s in exam.statements if id(s.finding) in foreign))
+    # What these add is known, and no slow noise, bias or motion.
+    bare, bins = with_errors(recording, beside, -1.0), off_bins(bins, beside)
+    affine = fit_affine(bins, effects, conditions, gravity)
     if exam.aligned is not None:
         affine = replace(affine, rate_mapping=exam.aligned.mapping * (1.0 + skew_of(effects)))
     if any(observable(e) and e.concerns(Sensor.GYROSCOPE) for e in effects):
         for _ in range(ROUNDS):
-            affine = _about_effects(recording, exam, affine, effects, conditions)
+            affine = _about_effects(bare, bins, affine, effects, conditions, gravity=gravity)
     spectra = {s.sensor: s.spectra for s in exam.streams if s.spectra is not None}
     cutoffs = {s: float(f"{one.low_pass.cutoff.value:.4g}") for s, one in spectra.items() if one.low_pass}
-    return Case(recording, exam.bins, gravity, conditions, mapped, affine, cutoffs)
+    return Case(recording, bins, gravity, conditions, mapped, beside, affine, cutoffs)
+
+
+def with_errors(recording: Recording, known: Sequence[Known], times: float = 1.0) -> Recording:
+    """Return a recording with so many times what the known effects add put into its samples."""
+    accelerometer, gyroscope = recording.accelerometer, recording.gyroscope
+
+    def changed(samples: Samples) -> Samples:
+        added = error_of(samples, known, accelerometer)
+        return replace(samples, xyz=frozen(samples.xyz + times * added)) if added.any() else samples
+
+    return replace(
+        recording, accelerometer=changed(accelerometer), gyroscope=gyroscope and changed(gyroscope)
+    )
 
 
 def _about_effects(
     recording: Recording,
-    exam: Examination,
+    bins: Bins,
     affine: AffinePhone,
     effects: Sequence[Effect],
     conditions: Conditions,
+    *,
+    gravity: float,
 ) -> AffinePhone:
     """Return the phone with the mapping of rates fitted again to turns without what effects add to these.
 
     What goes with the rate of turn itself, such as a nonlinearity, else looks like a part of the scale.
     """
     gyroscope, added = recording.gyroscope, added_to(recording, affine, effects, conditions)[1]
-    if gyroscope is None or added is None or exam.bins.rate is None:
+    if gyroscope is None or added is None or bins.rate is None:
         return affine
 
     def rates(part: Samples) -> Array:
         first = int(np.searchsorted(gyroscope.t, part.t[0]))
         return np.asarray(part.xyz - added[first : first + len(part)])
 
-    bare = replace(exam.bins, force=exam.bins.force - affine.accel, rate=exam.bins.rate - affine.gyro)
+    bare = replace(bins, force=bins.force - affine.accel, rate=bins.rate - affine.gyro)
     limit = min((e.limit for e in effects if isinstance(e, GyroSaturation)), default=np.inf)
-    mapping = aligned(gyroscope, bare, exam.claims.gravity, limit, rates).mapping
+    mapping = aligned(gyroscope, bare, gravity, limit, rates).mapping
     return replace(affine, rate_mapping=mapping * (1.0 + skew_of(effects)))

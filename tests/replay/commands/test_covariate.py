@@ -13,15 +13,20 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.replay.export.imu import noise_of
 from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.phone.phone import load_phone
 
 RATE_HZ = 20.0
 
 SLOPE = 1.5e-3
 """rad/s per volt."""
 
+VOLTS = 0.25
+"""By how much the voltage goes up and down."""
 
-def attitudes(rng: np.random.Generator) -> tuple[Array, Array, Array, Array]:
+
+def attitudes(rng: np.random.Generator) -> tuple[Array, Array, Any, Any]:
     """Return times (n,), s, directions (10, 3), which of them holds (n,), and whether it is moved (n,)."""
     t = np.arange(int(1200 * RATE_HZ)) / RATE_HZ
     ups = rng.normal(size=(10, 3))
@@ -35,7 +40,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(4)
     t, ups, which, moving = attitudes(rng)
     minutes = np.arange(0.0, 1201.0, 60.0)
-    volts = 3.8 + 0.25 * np.sin(minutes / 190.0) + 0.05 * rng.normal(size=minutes.size)
+    volts = 3.8 + VOLTS * np.sin(minutes / 190.0) + 0.05 * rng.normal(size=minutes.size)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
     rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
     rate[:, 2] += SLOPE * (np.interp(t, minutes, volts) - 3.8)
@@ -66,7 +71,9 @@ def run(*words: object) -> tuple[int, str]:
 def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, tmp_path: Path) -> None:
     answer = tmp_path / "answer.json"
     left = tmp_path / "left.csv"
-    code, text = run(log, "--covariate", "battery_v", "--json", answer, "--residuals", left)
+    better = tmp_path / "better.toml"
+    words = ("--json", answer, "--residuals", left, "--phone-out", better)
+    code, text = run(log, "--covariate", "battery_v", *words)
     assert code == 0, text
     said = json.loads(answer.read_text())
     assert [f["effect"] for f in said["findings"]] == ["gyro_bias_battery_v"]
@@ -82,6 +89,11 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     before, after = np.sqrt(np.mean(z**2, axis=0))
     assert after < 0.5 * before
     assert {r["unit"] for r in rows} <= {"m/s^2", "rad/s", "rad"}
+    # The slow noise is what is left after the effect, in the corrected simulation as in the phone file.
+    assert said["fit"]["p_after"] > 0.5
+    gyro = load_phone(str(better)).gyro
+    assert gyro is not None
+    assert noise_of(gyro).slow_deviation().max() < 0.1 * SLOPE * VOLTS
 
 
 def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> None:
