@@ -45,7 +45,7 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
     """Show a running daemon: the phone, the calibration, the energy used, the orientations recorded.
 
     Also shows what the daemon needs next and which orientation to record next. Reconnects when the daemon
-    restarts. Ctrl-C quits. Best in a terminal of 122 columns or more. Exit code 4 with --once when no daemon
+    restarts. Ctrl-C quits. Best in a terminal of 120 columns or more. Exit code 4 with --once when no daemon
     answers.
     """
     console, where = Console(), answering_path(path)
@@ -58,7 +58,7 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
         if svg is not None:
             write_atomically(svg, picture(first).encode(), 0o644)
         else:
-            console.print(frame(first, None, glyphs))
+            console.print(frame(first, None, glyphs, console.width))
         return
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # restores the screen as Ctrl-C does
     try:
@@ -70,7 +70,7 @@ def watch_command(path: str, once: bool, svg: Path | None, every: float) -> None
 def picture(now: Snapshot) -> str:
     """Return a frame as SVG, without the fonts that rich would load from the web."""
     console = Console(record=True, width=PICTURE_WIDTH, file=io.StringIO())
-    console.print(frame(now, None, Glyphs()))
+    console.print(frame(now, None, Glyphs(), PICTURE_WIDTH))
     svg = console.export_svg(title="stillcal watch", unique_id="watch")
     svg = re.sub(r"@font-face \{.*?\}\s*", "", svg, flags=re.DOTALL)
     return "\n".join(line.rstrip() for line in svg.splitlines()) + "\n"
@@ -78,9 +78,11 @@ def picture(now: Snapshot) -> str:
 
 def _live(console: Console, where: Path, now: Snapshot, glyphs: Glyphs, every: float) -> None:
     """Show frame after frame on the terminal's alternate screen until interrupted."""
-    with Live(frame(now, None, glyphs), console=console, screen=True, auto_refresh=False) as live:
+    with Live(
+        frame(now, None, glyphs, console.width), console=console, screen=True, auto_refresh=False
+    ) as live:
         live.refresh()
         while True:
             time.sleep(every)
             now, before = snapshot(where), now
-            live.update(frame(now, before, glyphs), refresh=True)
+            live.update(frame(now, before, glyphs, console.width), refresh=True)

@@ -19,6 +19,14 @@ from stillcal.daemon.cli.watch.sphere import Glyphs, sphere_map
 from stillcal.daemon.system.plain_words import duration
 
 MAP_WIDTH, TEXT_WIDTH = 63, 56
+"""Columns of the panel with the map, and of those with text where they stand beside it.
+
+In a narrower terminal all stand one below the other, as wide as the map at most.
+"""
+
+SPACE = 1
+"""Columns between the panels that stand beside each other."""
+
 DEG = 180 / np.pi
 MG = 1000 / STANDARD
 CONFIDENCE = {"confirmed": "green", "unchecked": "yellow", "failing": "bold red"}
@@ -26,26 +34,32 @@ STILL = {"at rest": "bold green", "moving": "bold yellow", "no phone": "bold red
 UNKNOWN = "-"
 
 
-def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs) -> RenderableType:
-    """Return a frame. before: the previous snapshot, to tell rest from motion; None for the first frame."""
+def frame(now: Snapshot, before: Snapshot | None, glyphs: Glyphs, width: int) -> RenderableType:
+    """Return a frame for a terminal of `width` columns.
+
+    before: the previous snapshot, to tell rest from motion; None for the first frame.
+    """
     if now.absent:
-        return absent(now)
+        return absent(now, width)
     if now.calibration is None:
         calibration_text: RenderableType = Text(f"no calibration yet: {_reason(now)}", style="yellow")
     else:
         calibration_text = Group(*_calibration(now.calibration, _reason(now)))
-    sphere = Panel(_map(now, glyphs), title="orientations recorded", width=MAP_WIDTH)
+    beside = width >= TEXT_WIDTH + SPACE + MAP_WIDTH
+    map_width = min(width, MAP_WIDTH)
+    text_width = TEXT_WIDTH if beside else map_width
+    sphere = Panel(_map(now, glyphs, map_width < MAP_WIDTH), title="orientations recorded", width=map_width)
     panels = Group(
-        Panel(_state(now, before), title="phone", width=TEXT_WIDTH),
-        Panel(calibration_text, title="calibration", width=TEXT_WIDTH),
-        Panel(_energy(now.days), title="energy", width=TEXT_WIDTH),
+        Panel(_state(now, before), title="phone", width=text_width),
+        Panel(calibration_text, title="calibration", width=text_width),
+        Panel(_energy(now.days, text_width < TEXT_WIDTH), title="energy", width=text_width),
     )
-    return Columns([panels, sphere], padding=(0, 1))
+    return Columns([panels, sphere], padding=(0, SPACE)) if beside else Group(panels, sphere)
 
 
-def absent(now: Snapshot) -> RenderableType:
+def absent(now: Snapshot, width: int) -> RenderableType:
     """Return the frame that is shown while no daemon answers."""
-    return Panel(Text(now.absent, style="bold red"), title="stillcal", width=MAP_WIDTH)
+    return Panel(Text(now.absent, style="bold red"), title="stillcal", width=min(width, MAP_WIDTH))
 
 
 def _rows(rows: Iterable[tuple[str, RenderableType]]) -> Table:
@@ -73,9 +87,10 @@ def _state(now: Snapshot, before: Snapshot | None) -> RenderableType:
     )
 
 
-def _map(now: Snapshot, glyphs: Glyphs) -> RenderableType:
+def _map(now: Snapshot, glyphs: Glyphs, narrow: bool) -> RenderableType:
     held, up, wanted = sentences.attitudes(now), sentences.up_directions(now), sentences.wanted_attitude(now)
-    drawn = sphere_map(held, up[0] if len(up) else None, None if wanted is None else wanted.up, glyphs)
+    newest, next_up = up[0] if len(up) else None, None if wanted is None else wanted.up
+    drawn = sphere_map(held, newest, next_up, glyphs, stacked=narrow)
     caption = (
         f"{now.stillness.get('rests_held', 0)} rests in {len(held)} orientations; {glyphs.newest} newest"
     )
@@ -90,27 +105,25 @@ def _reason(now: Snapshot) -> str:
 
 
 def _calibration(calibration: Answer, reason: str) -> Iterable[RenderableType]:
-    age, checked = (duration(calibration.get(name)) for name in ("age_s", "checked_age_s"))
+    age, checked = (calibration.get(name) for name in ("age_s", "checked_age_s"))
+    ago = "" if checked is None else f" {duration(checked)} ago"
     verified = {
         "unchecked": "not verified yet",
-        "confirmed": f"verified {checked} ago",
-        "failing": f"no longer fits (checked {checked} ago)",
+        "confirmed": f"verified{ago}",
+        "failing": f"no longer fits{f' (checked{ago})' if ago else ''}",
     }
     if not calibration.get("accelerometer"):
         verified["unchecked"] = "provisional: a later rest must confirm it"
         verified["confirmed"] = "confirmed by a later rest"
     confidence = calibration["confidence"]
-    yield Text.assemble(f"{calibration['id']}, {age} old, ", (verified[confidence], CONFIDENCE[confidence]))
-    table = Table(box=None, padding=(0, 1), show_edge=False)
-    for name in ("", "x", "y", "z", ""):
-        table.add_column(name, justify="left" if not name else "right", no_wrap=True)
+    old = "" if age is None else f"{duration(age)} old, "
+    yield Text.assemble(f"{calibration['id']}, {old}", (verified[confidence], CONFIDENCE[confidence]))
     for sensor, name, gain, unit, digits in (
         ("accelerometer", "accel.", MG, "mg", 2),
         ("gyroscope", "gyro.", DEG, "°/s", 4),
     ):
         if calibration.get(sensor):
-            _sensor(table, calibration[sensor], name, (gain, unit, digits))
-    yield table
+            yield _sensor(calibration[sensor], name, (gain, unit, digits))
     if not calibration.get("accelerometer"):
         yield Text(f"accelerometer: no calibration yet: {reason}", style="yellow")
     if calibration.get("gyroscope"):
@@ -118,20 +131,40 @@ def _calibration(calibration: Answer, reason: str) -> Iterable[RenderableType]:
     yield Text(_fit(calibration), style="dim")
 
 
-def _sensor(table: Table, part: Answer, name: str, shown: tuple[float, str, int]) -> None:
-    """Add a sensor's rows. shown: factor to the unit shown, that unit, and digits after the point."""
+def _numbers(first: str, *names: str) -> Table:
+    """Return a table without rows, of numbers after a first column."""
+    table = Table(box=None, padding=(0, 0, 0, 2), pad_edge=False, show_edge=False)
+    table.add_column(first, no_wrap=True)
+    for name in names:
+        table.add_column(name, justify="right", no_wrap=True)
+    return table
+
+
+def _sensor(part: Answer, name: str, shown: tuple[float, str, int]) -> Table:
+    """Return a sensor's numbers. shown: factor to the unit shown, that unit, and digits after the point."""
     gain, unit, digits = shown
-    table.add_row(f"{name} bias", *(f"{gain * b:.{digits}f}" for b in part["bias"]), unit)
+    table = _numbers(name, "x", "y", "z")
+    table.add_row(f"bias {unit}", *(f"{gain * b:.{digits}f}" for b in part["bias"]))
     sds = part.get("bias_uncertainty") or [None] * 3
-    table.add_row("  ± (1 sd)", *(UNKNOWN if sd is None else f"{gain * sd:.{digits}f}" for sd in sds), unit)
-    table.add_row(f"{name} scale", *(f"{part['scale'][k][k]:.5f}" for k in range(3)), "")
+    table.add_row("± (1 sd)", *(UNKNOWN if sd is None else f"{gain * sd:.{digits}f}" for sd in sds))
+    table.add_row("scale", *(f"{part['scale'][k][k]:.5f}" for k in range(3)))
+    return table
 
 
 def _slow_rotation(gyroscope: Answer) -> str:
     bound = gyroscope.get("slow_rotation_deg_per_h")
     if bound is None:
-        return "± leaves out slow rotation at rest, of which nothing is known yet"
-    return f"± leaves out slow rotation at rest: up to {max(bound):.2g} °/h more"
+        return "± without slow rotation at rest: not known yet"
+    return f"± without slow rotation at rest: up to {_two_digits(max(bound))} °/h"
+
+
+def _two_digits(value: float) -> str:
+    """Return a number with two digits that count, never as a power of ten.
+
+    >>> _two_digits(1437.0), _two_digits(0.0461)
+    ('1400', '0.046')
+    """
+    return f"{float(f'{value:.2g}'):.12g}"
 
 
 def _fit(calibration: Answer) -> str:
@@ -142,21 +175,19 @@ def _fit(calibration: Answer) -> str:
     warm = "" if low is None or high is None else f", {low:.0f} to {high:.0f} °C"
     return (
         f"{part['parameters']} parameters from {part['n_rests']} rests in {part['n_states']} orientations\n"
-        f"{MG * part['rms_residual']:.2g} mg rms{warm}"
+        f"{_two_digits(MG * part['rms_residual'])} mg rms{warm}"
     )
 
 
-def _energy(days: list[dict[str, Any]]) -> RenderableType:
-    table = Table(box=None, padding=(0, 1), show_edge=False)
-    for name in ("day", "sensors on", "wake-ups", "samples", "CPU"):
-        table.add_column(name, justify="right", no_wrap=True)
+def _energy(days: list[dict[str, Any]], narrow: bool) -> RenderableType:
+    table = _numbers("day", "sensors on", "wake-ups", "CPU", *([] if narrow else ["samples"]))
     for day in reversed(days[-3:]):
         on = day["sensors_on_s"] or day["asked_s"]
         table.add_row(
             str(day["number"]),
             f"{100 * on / max(day['observed_s'], 1.0):.1f} %",
             str(day["wakeups"]),
-            f"{day['samples']:,}",
             f"{day['cpu_s']:.1f} s",
+            *([] if narrow else [f"{day['samples']:,}"]),
         )
     return table if days else Text("no day recorded yet")

@@ -21,6 +21,9 @@ ROWS, COLUMNS = 13, 27
 GAP = 5
 """Columns between the discs."""
 
+TITLES = ("screen up", "screen down")
+"""Of the discs."""
+
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
@@ -58,9 +61,17 @@ def inside() -> NDArray[np.bool_]:
 
 
 def sphere_map(
-    counts: list[tuple[Array, int]], newest: Array | None, wanted: Array | None, glyphs: Glyphs
+    counts: list[tuple[Array, int]],
+    newest: Array | None,
+    wanted: Array | None,
+    glyphs: Glyphs,
+    *,
+    stacked: bool = False,
 ) -> Text:
-    """Draw orientations (unit vector and number of rests, up to 9 as a digit) as ROWS + 2 lines of text."""
+    """Draw orientations (unit vector and number of rests, up to 9 as a digit) as ROWS + 2 lines of text.
+
+    stacked: one disc below the other, for a narrow terminal: twice as many lines, half as wide.
+    """
     marks: dict[Place, tuple[str, str]] = {
         (disc, ROWS // 2, COLUMNS // 2): (glyphs.centre, "centre") for disc in (0, 1)
     }
@@ -72,11 +83,12 @@ def sphere_map(
         marks[place(newest)] = (glyphs.newest, "held")
     if wanted is not None:
         marks[place(wanted)] = (glyphs.wanted, "wanted")
-    text = Text(f"{'screen up':^{COLUMNS}}{'':{GAP}}{'screen down':^{COLUMNS}}\n", style="bold")
-    for row in range(ROWS):
-        for disc in (0, 1):
-            text.append_text(_line(disc, row, marks, glyphs))
-            text.append(" " * GAP if disc == 0 else "\n")
+    text, gap = Text(style="bold"), " " * GAP
+    for discs in ((0,), (1,)) if stacked else ((0, 1),):
+        text.append(gap.join(f"{TITLES[disc]:^{COLUMNS}}" for disc in discs) + "\n")
+        for row in range(ROWS):
+            text.append_text(Text(gap).join(_line(disc, row, marks, glyphs) for disc in discs))
+            text.append("\n")
     return text.append("right of a disc: left edge down; top: upright", style="dim not bold")
 
 

@@ -123,9 +123,9 @@ def test_the_attitude_that_would_help_most_is_the_one_left_out() -> None:
 # A daemon
 
 
-def watched(folder: Path, *options: str) -> Result:
+def watched(folder: Path, *options: str, columns: int = 130) -> Result:
     arguments = ["watch", "--once", "--socket", str(folder / "socket"), *options]
-    return CliRunner(env={"COLUMNS": "130"}).invoke(cli, arguments)
+    return CliRunner(env={"COLUMNS": str(columns)}).invoke(cli, arguments)
 
 
 def faces_at_rest() -> list[Any]:
@@ -178,6 +178,33 @@ def test_one_frame_shows_the_calibration_in_the_units_that_people_use(folder: Pa
                 assert shown in result.output
 
     within_reason(test())
+
+
+@pytest.mark.parametrize("columns", [40, 56, 80, 120])
+def test_a_frame_is_whole_in_a_terminal_of_any_usual_width(
+    folder: Path, make_record: Any, columns: int
+) -> None:
+    record = make_record(3)
+    slow = replace(record.gyroscope, rotation_admitted=np.full(3, 1437.0 * np.pi / 180.0 / 3600.0))
+    Store(folder / "store.json").publish(replace(record, gyroscope=slow))
+
+    shown: list[str] = []
+
+    async def test() -> None:
+        async with answering(folder) as service:
+            service.saved.energy.samples(1.0, 123_456)
+            shown.extend((await asyncio.to_thread(watched, folder, columns=columns)).output.splitlines())
+
+    within_reason(test())
+    assert max(map(len, shown)) <= columns
+    assert not any("…" in line for line in shown)  # no number is cut
+    titles = [line for line in shown if "   screen up   " in line or "   screen down   " in line]
+    assert len(titles) == (2 if columns < 63 else 1)
+    text = " ".join(" ".join(shown).replace("│", " ").split())
+    if columns < 120:
+        assert "± without slow rotation at rest: up to 1400 °/h" in text
+    for number in ("3.06", "-0.1146", "1.00000"):
+        assert number in text
 
 
 def test_no_daemon_is_one_line_and_code_4(folder: Path) -> None:
