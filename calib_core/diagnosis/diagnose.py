@@ -8,18 +8,26 @@ from functools import partial
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.clear_bins import limits_of, outside_of, roughened, still_bins, unlimited
+from stillcal.calib_core.diagnosis.clear_bins import (
+    CLEAR,
+    limits_of,
+    outside_of,
+    roughened,
+    still_bins,
+    unlimited,
+)
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import shown_in_motion
+from stillcal.calib_core.diagnosis.motion.turning_windows import Span, on_limits
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
@@ -77,6 +85,20 @@ class Examination:
     def every_scene(self) -> list[Scene]:
         """The scenes of both sensors, and that of the turns where there is one."""
         return [*self.scenes, *([self.turns] if self.turns else [])]
+
+    @property
+    def on_limits(self) -> list[Span]:
+        """When one of the sensors is on a limit, found or claimed, or as near to it as noise reaches."""
+        if self.gyroscope is None:
+            return []
+        found = [s.finding for s in self.statements]
+        claimed = {"accel": self.claims.accel_range, "gyro": self.claims.gyro_range}
+        limits = {}
+        for stream in self.streams:
+            stated = [*limits_of(f"{stream.sensor}_saturation", found), claimed[stream.sensor]]
+            least = min((limit for limit in stated if limit), default=np.inf)
+            limits[stream.sensor] = least - CLEAR * float(stream.steps.sd.max())
+        return on_limits(self.accelerometer, self.gyroscope, limits)
 
     @property
     def is_table(self) -> bool:
@@ -153,12 +175,12 @@ def examine(
         progress(MEASURED + (SEARCHED - MEASURED) * done / len(searched))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
                        exchanged=spoiled.sensor if spoiled else "")  # fmt: skip
-    made = _with_motion(made, [f.where for f in gone], without, sound, search=search)
+    made = _with_motion(made, [(f.where.t_start, f.where.t_end) for f in gone], without, sound, search=search)
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
 
 def _with_motion(
-    exam: Examination, spoiled: Sequence[Where], without: Collection[str], sound: SoundPhones, *, search: bool
+    exam: Examination, spoiled: Sequence[Span], without: Collection[str], sound: SoundPhones, *, search: bool
 ) -> Examination:
     """Return an examination with what motion and the turns between rests show, where there is a gyroscope.
 
@@ -179,7 +201,7 @@ def _with_motion(
     filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra is not None})
     motion = shown_in_motion(
         exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
-        spoiled=spoiled, filters=filters,
+        spoiled=[*spoiled, *exam.on_limits], filters=filters,
     )  # fmt: skip
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]

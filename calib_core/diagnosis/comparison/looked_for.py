@@ -282,9 +282,12 @@ def of_motion(exam: Examination) -> Iterator[Check]:
     elif len(exam.gyroscope) < LEAST_SAMPLES:
         why = f"{len(exam.gyroscope)} samples of the gyroscope, {LEAST_SAMPLES} are needed"
     else:
-        have = len(turning_windows(exam.gyroscope, exam.aligned))
+        limited = exam.on_limits
+        have = len(turning_windows(exam.gyroscope, exam.aligned, limited))
         if have < LEAST_WINDOWS:
-            why = f"the phone turns in {_counted(have, 'span')} of {WINDOW:.0f} s, {LEAST_WINDOWS} are needed"
+            within = " within the sensors' limits" if limited else ""
+            spans = f"{_counted(have, 'span')} of {WINDOW:.0f} s{within}"
+            why = f"the phone turns in {spans}, {LEAST_WINDOWS} are needed"
     yield from (Check(name, sensor, None if name in stated else why) for name, sensor in MOTION)
 
 

@@ -15,12 +15,11 @@ from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE, AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import Regression
 from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
-from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion, Window, smoothed
+from stillcal.calib_core.diagnosis.motion.turning_windows import LONGEST, WINDOW, Motion, Window, smoothed
 
 DRAWN = 40
 """Windows from which a delay is found roughly."""
 
-LONGEST = 0.2
 SLOWEST = 1.0
 """Hz: about 1 / (2 pi `LONGEST`), so that the phase of no delay goes round."""
 

@@ -14,10 +14,10 @@ from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Wh
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
-from stillcal.calib_core.diagnosis.motion.delay_fit import LONGEST, Fit, drawn, fitted, summed
+from stillcal.calib_core.diagnosis.motion.delay_fit import Fit, drawn, fitted, summed
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
-from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, Motion
+from stillcal.calib_core.diagnosis.motion.turning_windows import LONGEST, WINDOW, Motion, Span
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples
@@ -51,7 +51,7 @@ def shown_in_motion(
     gravity: float,
     usual: Usual,
     *,
-    spoiled: Sequence[Where] = (),
+    spoiled: Sequence[Span] = (),
     filters: FilterDelay | None = None,
 ) -> Shown:
     """Return what motion shows; nothing where there is too little.
@@ -111,6 +111,8 @@ def power_over_delays(
     affine: Aligned | None,
     delays: Array,
     gravity: float = STANDARD,
+    *,
+    spoiled: Sequence[Span] = (),
 ) -> Array | None:
     """Return what motion leaves if the gyroscope is late by each of `delays` (n,) s, over the least, (n,).
 
@@ -118,7 +120,7 @@ def power_over_delays(
     fitted at each delay, from `DRAWN` windows at most and below `SLOW` of the accelerometer's rate: there the
     power does not depend on where between two samples a delay falls. None where the phone turns too little.
     """
-    motion = Motion.of(accelerometer, gyroscope, affine, gravity, ())
+    motion = Motion.of(accelerometer, gyroscope, affine, gravity, spoiled)
     if len(motion.windows) < LEAST_WINDOWS:
         return None
     motion = replace(motion, windows=drawn(motion.windows))

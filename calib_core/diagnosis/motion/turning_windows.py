@@ -6,19 +6,19 @@ was, but for a hand's acceleration. A gyroscope that is late carries gravity lat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.axis_delays import axis_columns
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum
+from stillcal.calib_core.diagnosis.segments.static_bins import runs_of
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
@@ -38,6 +38,12 @@ SMOOTHED = 1.25
 
 HIGHEST = 0.3
 """Part of the sample rate that is looked at."""
+
+LONGEST = 0.2
+"""s: the longest delay between the sensors that is looked for."""
+
+Span = tuple[float, float]
+"""First and last moment, s."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,14 +82,11 @@ class Motion:
         gyroscope: Samples,
         affine: Aligned | None,
         gravity: float,
-        spoiled: Sequence[Where],
+        spoiled: Sequence[Span],
     ) -> Motion:
         """Cut the windows in which both sensors were recorded; spoiled: when not to look."""
-        cut = [
-            p
-            for p in turning_windows(gyroscope, affine)
-            if _covered(p[0], accelerometer.t) and all(_apart(p[0], s) for s in spoiled)
-        ]
+        windows = turning_windows(gyroscope, affine, spoiled)
+        cut = [w for w in windows if _covered(w[0], accelerometer.t)]
         mapping = np.eye(3) if affine is None else affine.mapping
         parts = [Window.of(t, rate @ mapping.T) for t, rate in cut]
         return cls(accelerometer, None if affine is None else affine.baseline, parts, gravity)
@@ -140,15 +143,36 @@ def _part_of_motion(arm: Spectrum, t: Array, rate: Array) -> Array:
     return np.asarray(np.maximum(1.0 - noise / power, 0.0))
 
 
-def turning_windows(gyroscope: Samples, affine: Aligned | None) -> list[tuple[Array, Array]]:
+def on_limits(accelerometer: Samples, gyroscope: Samples, limits: Mapping[str, float]) -> list[Span]:
+    """Return when one of the sensors is on its limit, from the sample before to the one after.
+
+    What a gyroscope does not see of a turn is missing from the attitude ever after, and says nothing of
+    times; a window of motion can begin behind it. limits: by sensor, m/s^2 and rad/s; none where a sensor has
+    none. An accelerometer is read by up to `LONGEST` earlier or later than the gyroscope.
+    """
+    sensors = (("accel", accelerometer, LONGEST), ("gyro", gyroscope, 0.0))
+    return [
+        (float(samples.t[max(a - 1, 0)]) - reach, float(samples.t[min(b, len(samples) - 1)]) + reach)
+        for sensor, samples, reach in sensors
+        for a, b in runs_of(np.any(np.abs(samples.xyz) >= limits.get(sensor, np.inf), axis=1))
+    ]
+
+
+def turning_windows(
+    gyroscope: Samples, affine: Aligned | None, spoiled: Sequence[Span]
+) -> list[tuple[Array, Array]]:
     """Return stamps (n,), all different, and rate (n, 3) of unbroken windows of turning, the lively ones.
 
-    Slow turns of a hand tell little, and its own acceleration is the louder beside them.
+    spoiled: when not to look; what lies between is cut into windows. Slow turns of a hand tell little, and
+    its own acceleration is the louder beside them.
     """
     bias = np.zeros(3) if affine is None else affine.bias
     n = round(WINDOW / _interval(gyroscope.t))
+    clear = np.ones(len(gyroscope), dtype=bool)
+    for start, end in spoiled:
+        clear[np.searchsorted(gyroscope.t, start) : np.searchsorted(gyroscope.t, end, side="right")] = False
     found, size = [], []
-    for first in range(0, len(gyroscope) - n, n):
+    for first in (k for a, b in runs_of(clear) for k in range(a, b - n, n)):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
         rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
         if t[-1] - t[0] < 1.5 * WINDOW and np.diff(t).min() > 0.0 and rms > LEAST_RATE:
@@ -168,10 +192,6 @@ def _covered(t: Array, stamps: Array) -> bool:
     """Whether the accelerometer, sampled at `stamps`, has no pause in window t: two files may end apart."""
     within = stamps[np.searchsorted(stamps, t[0]) : np.searchsorted(stamps, t[-1])]
     return bool(np.diff(np.concatenate([t[:1], within, t[-1:]])).max() < 0.5 * WINDOW)
-
-
-def _apart(t: Array, spoiled: Where) -> bool:
-    return bool(t[-1] < spoiled.t_start or t[0] > spoiled.t_end)
 
 
 def felt(back: Array, force: Array) -> tuple[Array, Array]:

@@ -170,9 +170,14 @@ def _rounding(samples: Samples, parts: Windows, still: NDArray[np.bool_]) -> Arr
 
 def rest_runs(still: NDArray[np.bool_], shortest: int = SHORTEST_REST) -> list[tuple[int, int]]:
     """Return [first, last) windows of runs of stillness, one window trimmed at either end."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], still.astype(np.int8), [0]])))
-    runs = [(int(a) + 1, int(b) - 1) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    runs = [(a + 1, b - 1) for a, b in runs_of(still)]
     return [(a, b) for a, b in runs if b - a >= shortest]
+
+
+def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return [first, last) of every run of flags (n,) that are set."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,6 +18,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.time_offset import power_over_delays
+from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, quiet, spectra
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.stamps.clock import arrivals
@@ -196,23 +197,23 @@ def broken(t: Array, y: Array, length: float) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Turned:
-    """Both sensors of one recording with their constants (None without rests), as a label and a colour."""
+    """Both sensors of one recording with their constants (None without rests), as a label and a colour.
+
+    spoiled: when they are no measurement.
+    """
 
     label: str
     colour: str
     accelerometer: Samples
     gyroscope: Samples
     aligned: Aligned | None
+    spoiled: Sequence[Span]
 
 
 def delay_figure(turned: Sequence[Turned], delay: float) -> str | None:
     """Draw what motion leaves over the gyroscope's delay, s, that is tried; None with too little motion."""
     tried = np.linspace(-1.0, 1.0, DELAYS) * max(SHOWN_DELAYS * abs(delay), LEAST_SHOWN)
-    lines = [
-        (one, power)
-        for one in turned
-        if (power := power_over_delays(one.accelerometer, one.gyroscope, one.aligned, tried)) is not None
-    ]
+    lines = [(one, power) for one in turned if (power := _power(one, tried)) is not None]
     if not lines:
         return None
     with drawing() as (_, axes, out):
@@ -223,6 +224,10 @@ def delay_figure(turned: Sequence[Turned], delay: float) -> str | None:
         axes.set_xlabel(f"gyroscope behind the accelerometer by, ms (dotted: {delay * 1e3:.3g} ms)")
         axes.set_ylabel("power left, relative to the least")
     return out[0]
+
+
+def _power(one: Turned, tried: Array) -> Array | None:
+    return power_over_delays(one.accelerometer, one.gyroscope, one.aligned, tried, spoiled=one.spoiled)
 
 
 RecordedAndSimulated = Sequence[tuple[str, str, Samples, Bins]]

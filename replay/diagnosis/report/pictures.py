@@ -71,10 +71,10 @@ class Album:
         force = [(label, colour, accel, bins) for accel, _, bins, label, colour in sides]
         rate = [(label, colour, gyro, bins) for _, gyro, bins, label, colour in sides if gyro is not None]
         # A corrected simulation has the constants that it was made with: the simulation's or the recording's.
-        aligned = [side.exam.aligned for side in compared] + [compared[-1].exam.aligned]
+        exams = [side.exam for side in compared] + [compared[-1].exam]
         turned = [
-            figures.Turned(label, colour, accel, gyro, own)
-            for (accel, gyro, _, label, colour), own in zip(sides, aligned, strict=False)
+            figures.Turned(label, colour, accel, gyro, own.aligned, own.on_limits)
+            for (accel, gyro, _, label, colour), own in zip(sides, exams, strict=False)
             if gyro is not None
         ]
         return cls(tuple(compared), {"accel": force, "timing": force, "gyro": rate}, tuple(turned))

@@ -10,10 +10,12 @@ from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.motion.time_offset import Shown, power_over_delays, shown_in_motion
+from stillcal.calib_core.diagnosis.motion.turning_windows import on_limits, turning_windows
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -107,6 +109,20 @@ def test_a_delay_of_several_samples_is_found_though_its_phase_goes_round(delay: 
     (found,) = diagnosed(3, delay=delay, tremor=1.5)
     low, high = found.parameters["delay"].ci95
     assert low < delay < high and high - low < 0.01
+
+
+def test_turns_on_the_gyroscopes_limit_say_nothing_of_times() -> None:
+    """One sample in eleven is clipped: a delay of 14 ms, with an error of 5 ms, was read from them."""
+    accelerometer, rate = played(2)
+    gyroscope = replace(rate, xyz=frozen(np.clip(rate.xyz, -1.2, 1.2)))
+    exam = examine(accelerometer, gyroscope, search=False)
+    assert {s.finding.effect for s in exam.statements} == {"gyro_saturation"}
+    assert exam.delay is not None and abs(exam.delay.value) < 2.0 * exam.delay.error < 3e-3
+    limits = on_limits(accelerometer, gyroscope, {"gyro": 1.2})
+    assert limits == on_limits(accelerometer[1:], gyroscope, {"accel": 100.0, "gyro": 1.2})
+    assert exam.aligned is not None
+    for t, spin in turning_windows(gyroscope, exam.aligned, limits):
+        assert np.abs(spin + exam.aligned.bias).max() < 1.2 and t[-1] - t[0] < 8.0
 
 
 def test_least_power_is_left_at_the_delay() -> None:
