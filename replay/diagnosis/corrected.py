@@ -14,7 +14,6 @@ from functools import cached_property
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS, OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
@@ -23,15 +22,18 @@ from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
+from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.overview import Overview
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.diagnosis.slow.taken_off import Known
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.condense import LongRecording, overview_of
-from stillcal.replay.diagnosis.judged import charging_events
+from stillcal.replay.diagnosis.condense import LongRecording
+from stillcal.replay.diagnosis.judged import bins_of, charging_events, claims_of
 from stillcal.replay.diagnosis.phone.case import with_errors
 from stillcal.replay.formats.trace import Recording
 
@@ -301,7 +303,11 @@ def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> 
 
 @dataclass(frozen=True, eq=False)
 class _Drivers:
-    """What drives effects at a sensor's samples; the simulation's own samples stand for its true input."""
+    """What drives effects at a sensor's samples.
+
+    The simulation's own samples stand for its true input, free of the bias and the scale that its rests show
+    of the accelerometer: a sensitivity to force times a bias would be a bias of the gyroscope.
+    """
 
     simulation: Recording
 
@@ -313,8 +319,21 @@ class _Drivers:
     @cached_property
     def activity(self) -> Array:
         """When the phone moved, (w, 2)."""
-        accel, gyro = self.simulation.accelerometer, self.simulation.gyroscope
-        return still_bins(accel, gyro, self.plugs, overview_of(self.simulation)).activity
+        return self.bins.activity
+
+    @cached_property
+    def bins(self) -> Bins:
+        """The static bins."""
+        return bins_of(self.simulation)
+
+    @cached_property
+    def affine(self) -> tuple[Array, Array]:
+        """Scale (3, 3) and bias (3,) of the accelerometer: the force is scale (sample - bias)."""
+        if len(self.bins) < LEAST_BINS:
+            return np.eye(3), np.zeros(3)
+        gravity = claims_of(self.simulation).gravity
+        fitted = fit_baseline(self.bins.force, self.bins.force_variance, self.bins.rest, gravity)
+        return fitted.scale, fitted.bias
 
     def at(self, samples: Samples, reference_c: float | None) -> Moments:
         """Return the drivers at a sensor's samples. reference_c: degC from which temperatures count."""
@@ -327,13 +346,16 @@ class _Drivers:
             warm = np.asarray(warm - reference)
         span = (float(samples.t[0]), float(samples.t[-1]))
         switches = np.array([[e.t, float(e.on)] for e in plugs]) if plugs else None
-        return at_samples(
+        made = at_samples(
             samples.t,
             History(span, self.activity, switches, reference),
             (accel, gyro),
             warm,
             states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None,
         )
+        assert made.force is not None, "of an accelerometer"
+        scale, bias = self.affine
+        return replace(made, force=(made.force - bias) @ scale.T)
 
 
 def _scale(unbiased: Array, one: Discrepancy) -> Array:

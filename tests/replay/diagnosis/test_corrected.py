@@ -16,6 +16,7 @@ from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import correct, low_passed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
+from tests.support.diagnosis.turned_pairs import turned as shaken
 
 MIS = ((0, 1), (0, 2), (1, 2))
 
@@ -59,6 +60,26 @@ def test_readings_become_those_of_the_recorded_sensor(sensor: str) -> None:
     out = done.recording.accelerometer if sensor == "accel" else done.recording.gyroscope
     assert out is not None and done.left_out == []
     np.testing.assert_allclose(out.xyz, recorded, rtol=0.0, atol=1e-12)
+
+
+def test_what_follows_force_goes_by_the_force_and_not_by_what_is_read() -> None:
+    """A bias of the accelerometer times a sensitivity to force is no bias of the gyroscope."""
+    bias, matrix = np.array([0.3, 0.0, -0.3]), 5e-4 * np.eye(3)
+    true = shaken(1)
+    assert true.gyroscope is not None
+    read = shaken(1, lambda force, rate: (force + bias, rate))
+    part = (Part("matrix", "(rad/s)/(m/s^2)", 9),)
+    gyro, where = ("gyro_g_sensitivity", "gyro"), Where(0.0, 1.0, (0.0, 1.0), "attitude")
+    had = [
+        Quantity(*gyro, part, value.ravel(), 1e-14 * np.eye(9), np.full(9, 1e-3), np.full(9, 1e-12),
+                 np.repeat(np.arange(3), 3), where=where)
+        for value in (matrix, 0.0 * matrix)
+    ]  # fmt: skip
+    done = correct(read, [Discrepancy(*gyro, [], where, "lacking", 1.0, 50.0, subtract(*had))], {})
+    assert done.recording.gyroscope is not None and done.left_out == []
+    added = done.recording.gyroscope.xyz - true.gyroscope.xyz
+    away = (added - true.accelerometer.xyz @ matrix.T).mean(axis=0)
+    assert np.abs(away).max() < 0.1 * 5e-4 * 0.3
 
 
 EVERYWHERE = Where(0.0, 60.0, (0.0, 25.0), "rate of turn")
