@@ -24,7 +24,8 @@ from stillcal.calib_core.diagnosis.noise.gathered_noise import (
     without_parts,
 )
 from stillcal.calib_core.diagnosis.noise.heavy_tails import tails
-from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line
+from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER as CHANGING
+from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line, middle_hz
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
@@ -42,29 +43,39 @@ SAME_HZ = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stream:
-    """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests)."""
+    """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests).
+
+    lines: the vibrations found, which are taken off what the rests show of noise (`still`).
+    """
 
     sensor: str
     samples: Samples
     bins: Bins
+    lines: list[Finding]
     still: Quiet
     steps: Steps
     spectra: Spectra | None
     levels: noise.Levels | None
 
     @classmethod
-    def of(cls, sensor: str, samples: Samples, bins: Bins, claims: Claims) -> Stream:
-        """Measure a sensor's rests; coarse steps hide its noise."""
-        still = quiet(samples, bins)
+    def of(
+        cls,
+        sensor: str,
+        samples: Samples,
+        bins: Bins,
+        claims: Claims,
+        lines: list[Finding] | None = None,
+    ) -> Stream:
+        """Measure a sensor's rests; coarse steps hide its noise. lines: if known; None to look for them."""
+        rests = quiet(samples, bins)
         sd = (
-            np.sqrt(np.median([p.var(axis=0) for p in still.pieces], axis=0)) if still.pieces else np.zeros(3)
+            np.sqrt(np.median([p.var(axis=0) for p in rests.pieces], axis=0)) if rests.pieces else np.zeros(3)
         )
         seen = steps(samples, sd)
-        floor = seen.largest**2 / (6.0 * still.rate)
-        made = None if seen.hides_noise() else spectrum.judged(still, floor)
-        return cls(
-            sensor, samples, bins, still, seen, made, None if made is None else noise.levels(made, floor)
-        )
+        if lines is None:
+            lines = [] if seen.hides_noise() else tones(samples, sensor)
+        still = quiet(samples, bins, [middle_hz(f) for f in lines]) if lines else rests
+        return cls(sensor, samples, bins, lines, still, seen, *_noise_of(still, seen))
 
     def halves(self, claims: Claims) -> list[Stream]:
         """Return the stream before and after its middle, each measured by itself."""
@@ -73,11 +84,32 @@ class Stream:
         end = self.bins.t + self.bins.duration / 2
         start = self.bins.t - self.bins.duration / 2
         parts = ((self.samples[:k], end <= middle), (self.samples[k:], start >= middle))
-        return [Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), claims) for x, rows in parts]
+        return [
+            Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), claims, self.lines)
+            for x, rows in parts
+        ]
 
     def measured(self) -> dict[str, Measured]:
         """Return what its noise at rest measures, on the scales of the populations of sound phones."""
         return of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
+
+    def with_what_moves(self) -> tuple[Spectra | None, noise.Levels | None]:
+        """Return spectra and levels in which a line that is at another frequency in every rest is left.
+
+        Several lines that come and go may be one that moves; a single one has its own frequency.
+        """
+        changing = [f for f in self.lines if f.where.driver == CHANGING]
+        if len(changing) < 2:
+            return self.spectra, self.levels
+        steady = [middle_hz(f) for f in self.lines if f.where.driver != CHANGING]
+        return _noise_of(quiet(self.samples, self.bins, steady), self.steps)
+
+
+def _noise_of(still: Quiet, seen: Steps) -> tuple[Spectra | None, noise.Levels | None]:
+    """Return spectra and noise levels of rests; None where steps hide it or rests are few."""
+    floor = seen.largest**2 / (6.0 * still.rate)
+    made = None if seen.hides_noise() else spectrum.judged(still, floor)
+    return made, None if made is None else noise.levels(made, floor)
 
 
 def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:
@@ -106,7 +138,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        found += tones(samples, sensor)
+        found += stream.lines
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])
@@ -131,15 +163,15 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     claim = noise.claimed(sensor, claims)
     claim = None if claim is None else factor * claim
     moving = None
-    if wide is None and other is None and fine and stream.levels.own:
-        moving = gathered_noise_finding(
-            gathered_noise(stream.spectra), sensor, sound["noise_gathered"], where
-        )
+    gathered, levels = stream.with_what_moves()
+    if wide is None and other is None and fine and gathered is not None and levels is not None and levels.own:
+        moving = gathered_noise_finding(gathered_noise(gathered), sensor, sound["noise_gathered"], where)
     found: list[Finding | None] = [other, wide, moving]
     if noise.suppressed(stream.levels, claim):
         found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
     if wide is None and other is None and moving is None and fine:
-        own, alike = stream.levels, shared_noise(stream.still) if stream.levels.own else None
+        own = stream.levels
+        alike = shared_noise(stream.still, stream.spectra) if own.own else None
         if alike is not None:
             shared = shared_noise_finding(alike, sensor, usual(sound, "noise_shared", claim), where)
             found.append(shared)
@@ -156,11 +188,7 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
 
     A vibration of the phone that both sensors feel is the force's.
     """
-    tones = [f for f in found if is_line(f)]
-    felt = [_middle_hz(f) for f in tones if f.sensor == "accel"]
-    echoes = [f for f in tones if f.sensor == "gyro" and any(abs(_middle_hz(f) - x) < SAME_HZ for x in felt)]
+    heard = [f for f in found if is_line(f)]
+    felt = [middle_hz(f) for f in heard if f.sensor == "accel"]
+    echoes = [f for f in heard if f.sensor == "gyro" and any(abs(middle_hz(f) - x) < SAME_HZ for x in felt)]
     return [f for f in found if not any(f is echo for echo in echoes)]
-
-
-def _middle_hz(found: Finding) -> float:
-    return float(np.mean(found.where.band_hz))

@@ -62,7 +62,7 @@ def of_noise(
         out["excess_kurtosis"] = tails
     if levels.own:
         out |= {f"{sensor}_noise_{k}": v for k, v in noise_level.imbalance(levels).items()}
-        shared = shared_noise.shared_noise(still)
+        shared = shared_noise.shared_noise(still, spectra)
         out |= {} if shared is None else {"noise_shared": shared.size()}
         out["noise_gathered"] = gathered_noise.gathered_noise(spectra).excess
     return out

@@ -96,12 +96,17 @@ def is_line(found: Finding) -> bool:
     return found.effect == "vibration_tone" or found.where.driver == DRIVER
 
 
+def middle_hz(line: Finding) -> float:
+    """Return the frequency of a line, Hz."""
+    return float(np.asarray(line.parameters["frequency"].value))
+
+
 def named_if_steady(line: Finding, seen: Stretches, others: Sequence[float]) -> Finding:
     """Take the name off a line that comes and goes: a steady sine in its place would be no correction.
 
     seen: the stretches that it was found in; others: Hz, the lines besides it.
     """
-    frequency = float(np.asarray(line.parameters["frequency"].value))
+    frequency = middle_hz(line)
     within = (seen.span[:, 0] >= line.where.t_start) & (seen.span[:, 1] <= line.where.t_end)
     rows = np.union1d(_spread(np.arange(len(seen.length))), _spread(np.flatnonzero(within)))
     alone = seen.only(rows)
@@ -314,7 +319,7 @@ def _unsteady(line: Finding, told: _Told) -> Finding:
         "amplitude": vector(told.amplitude, told.error, line.parameters["amplitude"].unit),
         "fraction": told.share.parameter("1"),
     }
-    frequency = float(np.asarray(line.parameters["frequency"].value))
+    frequency = middle_hz(line)
     sizes = ", ".join(f"{axis} {told.amplitude[AXES.index(axis)]:.3g}" for axis in line.axes)
     say = (
         f"Vibration at {frequency:.2f} Hz in the {NAME[line.sensor]}'s data that comes and goes: it is there"

@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.sines import without_sines
 from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
 
@@ -40,24 +41,49 @@ MODEL = 0.02
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
 
+STEADY_S = 20.0
+"""Seconds in which a line keeps its amplitude and pitch, but for a straight change: as the stretches in which
+lines are sought."""
+
+LOBE = 2.0
+"""Frequencies of a spectrum on either side of a line that a Hann window spreads it over."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Quiet:
-    """Samples inside rests: pieces (n_i, 3) free of their means; rate: Hz; t_start of each piece, s."""
+    """Samples inside rests: pieces (n_i, 3) free of their means; rate: Hz; t_start of each piece, s.
+
+    lines: Hz, the vibrations that are taken off.
+    """
 
     pieces: tuple[Array, ...]
     t_start: tuple[float, ...]
     rate: float
+    lines: tuple[float, ...] = ()
 
 
-def quiet(samples: Samples, bins: Bins) -> Quiet:
-    """Cut the bins' samples out of a stream."""
+def quiet(samples: Samples, bins: Bins, lines: Sequence[float] = ()) -> Quiet:
+    """Cut the bins' samples out of a stream. lines: Hz, of vibrations, which are fitted and taken off.
+
+    A vibration is no noise: it is alike on all axes, regular and of one size.
+    """
     first = np.searchsorted(samples.t, bins.t - bins.duration / 2)
     last = np.searchsorted(samples.t, bins.t + bins.duration / 2)
     period = sample_period(samples.t)
     keep = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST]
-    pieces = tuple(samples.xyz[a:b] - samples.xyz[a:b].mean(axis=0) for a, b in keep)
-    return Quiet(pieces, tuple(float(samples.t[a]) for a, _ in keep), 1.0 / max(period, 1e-9))
+    pieces = tuple(_without_lines(samples.xyz[a:b], samples.t[a:b], lines) for a, b in keep)
+    starts = tuple(float(samples.t[a]) for a, _ in keep)
+    return Quiet(pieces, starts, 1.0 / max(period, 1e-9), tuple(lines))
+
+
+def _without_lines(xyz: Array, t: Array, lines: Sequence[float]) -> Array:
+    """Return values (n, 3) at t (n,) s less their mean, without sines of some frequencies, Hz."""
+    piece = np.asarray(xyz - xyz.mean(axis=0))
+    if not lines:
+        return piece
+    parts = max(round(float(t[-1] - t[0]) / STEADY_S), 1)
+    cut = zip(np.array_split(piece, parts), np.array_split(t, parts), strict=True)
+    return np.concatenate([without_sines(values, at, lines) for values, at in cut])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,13 +131,14 @@ def _segment(still: Quiet) -> int:
     return int(np.clip(np.quantile(sizes, 0.1), SHORTEST, SEGMENT))
 
 
-def spectra(still: Quiet) -> tuple[Array, Array]:
-    """Return frequencies (F,) Hz and one-sided densities (pieces, F, 3) of the pieces long enough.
+def spectra(still: Quiet, mixed: Array | None = None) -> tuple[Array, Array]:
+    """Return frequencies (F,) Hz and one-sided densities (pieces, F, k) of the pieces long enough.
 
-    One at least.
+    One at least. mixed: (3, k), of what sums of the axes; None for the axes themselves.
     """
     length = _segment(still)
-    power = densities([p for p in still.pieces if len(p) >= length], still.rate, length)
+    enough = [p if mixed is None else p @ mixed for p in still.pieces if len(p) >= length]
+    power = densities(enough, still.rate, length)
     return np.asarray(np.fft.rfftfreq(length, 1.0 / still.rate), dtype=np.float64), power
 
 
@@ -129,6 +156,8 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
     times = np.array([*t, t[-1] + sizes[-1] / still.rate])
     lowest = min(max(LOWEST * still.rate, 1.0), 0.1 * still.rate)
     band = (f > lowest) & (f < 0.48 * still.rate)
+    for line in still.lines:
+        band &= np.abs(f - line) >= LOBE * f[1]
     # Hann windows that overlap by half leave 0.95 independent averages a segment (Welch 1967).
     averages = 0.95 * np.maximum(2 * sizes // length - 1, 1)
     low_pass = _low_pass(f, np.median(power, axis=0), band, (still.rate, floor), float(averages.sum()))

@@ -21,7 +21,8 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, Quiet
+from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, Quiet, Spectra, spectra
+from stillcal.calib_core.diagnosis.noise.noise_level import level_part
 
 FLOOR = 1e-2
 """Added to correlations before their logarithm is taken."""
@@ -46,19 +47,33 @@ class Shared:
         return self.coefficient.log(FLOOR)
 
 
-def shared_noise(still: Quiet) -> Shared | None:
-    """Return the two axes whose successive differences at rest are most correlated; None in too few rests.
+def shared_noise(still: Quiet, spectrum: Spectra) -> Shared | None:
+    """Return the two axes whose noise at rest is most correlated; None in too few rests.
 
-    Differences know little of what shakes the phone slowly. Errors are from how pieces scatter.
+    spectrum: that of the rests, of three pieces at least. Frequencies count where the noise is level, as for
+    the level itself: what stands out is a vibration, and alike on all axes. They weigh as in successive
+    differences, which know little of what shakes the phone slowly. Errors are from how pieces scatter.
     """
-    steps = [d for p in still.pieces if (d := np.diff(p, axis=0)).std(axis=0).min() > 0.0]
-    if len(steps) < LEAST_PIECES:
+    _, used, _ = level_part(spectrum)
+    weight = np.sin(np.pi * spectrum.f[used] / spectrum.rate) ** 2
+
+    def power(density: Array) -> Array:
+        return np.asarray(np.einsum("pfa,f->pa", density[:, used], weight))
+
+    own = power(spectrum.power)
+    _, of_sums = spectra(still, np.array([[a in pair for pair in PAIRS] for a in range(3)], dtype=np.float64))
+    alive = (own > 0.0).all(axis=1)
+    if alive.sum() < LEAST_PIECES:
         return None
-    by_piece = np.array([np.corrcoef(d.T) for d in steps])
-    found = [(pair, mean_of(by_piece[:, pair[0], pair[1]])) for pair in PAIRS]
-    axes, most = max(found, key=lambda x: abs(x[1].value))
-    sign = 1.0 if most.value >= 0.0 else -1.0
-    return Shared(axes, Measured(sign * most.value, most.error), sign * by_piece[:, axes[0], axes[1]])
+    own, both = own[alive], power(of_sums)[alive]
+    first, second = (own[:, list(axes)] for axes in zip(*PAIRS, strict=True))
+    # A sum of two has the power of both and twice what they share.
+    by_piece = (both - first - second) / (2.0 * np.sqrt(first * second))
+    found = [mean_of(of_pair) for of_pair in by_piece.T]
+    best = int(np.argmax([abs(m.value) for m in found]))
+    sign = 1.0 if found[best].value >= 0.0 else -1.0
+    most = Measured(sign * found[best].value, found[best].error)
+    return Shared(PAIRS[best], most, sign * by_piece[:, best])
 
 
 def shared_noise_finding(found: Shared, sensor: str, sound: Usual, where: Where) -> Finding | None:

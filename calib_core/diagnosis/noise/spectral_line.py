@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.intermittent_line import named_if_steady
+from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz, named_if_steady
 from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
     INDEPENDENT,
@@ -81,14 +81,10 @@ def _of_any_length(samples: Samples, sensor: str) -> list[Finding]:
     faint = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain)
     apart = NEAR / SHORT
     lines = [*plain, *faint]
-    lines += [f for f in found if all(abs(_hertz(f) - _hertz(other)) > apart for other in lines)]
+    lines += [f for f in found if all(abs(middle_hz(f) - middle_hz(other)) > apart for other in lines)]
     if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
         return _lines(sensor, stretches(places, sensor, BRIEF))
     return lines
-
-
-def _hertz(found: Finding) -> float:
-    return float(np.asarray(found.parameters["frequency"].value))
 
 
 def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> list[Finding]:
@@ -102,7 +98,7 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
     apart = NEAR * float(seen.wider.max() * seen.f[1])
     left = seen
     for one in known:
-        left = left.without(_hertz(one), max(apart, NEAR / SHORT))
+        left = left.without(middle_hz(one), max(apart, NEAR / SHORT))
     passed = (seen.f <= LEAST_LINE_HZ) | (seen.f >= 0.49 * 2.0 * float(seen.f[-1]))
     found: list[Finding] = []
     ratio = left.ratio()
@@ -121,10 +117,10 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         found.append(line)
         if len(found) + len(known) == MOST_LINES:
             break
-        left = left.without(_hertz(line), apart)
+        left = left.without(middle_hz(line), apart)
         ratio = left.ratio()
     every = [*known, *found]
-    return [named_if_steady(one, seen, [_hertz(f) for f in every if f is not one]) for one in found]
+    return [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in found]
 
 
 def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:

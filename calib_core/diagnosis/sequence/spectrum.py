@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths import sines
 
 ASIDE, OWN = 16, 4
 """Lines of the neighbourhood on either side, and those between that are a line's own."""
@@ -35,9 +36,6 @@ SINE_P = 1e-4
 
 PIECE = 256
 """Samples in which a sine keeps its amplitude and phase, but for a straight change of both."""
-
-SINE_NUMBERS = 4
-"""What is fitted to a piece of at least twice as many samples: two amplitudes and how each changes."""
 
 
 def lines(series: Array) -> Array:
@@ -119,7 +117,7 @@ def _pieces(rest: NDArray[np.bool_]) -> list[slice]:
     out = []
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         cuts = np.linspace(a, b, max(round((b - a) / PIECE), 1) + 1).round().astype(int)
-        out += [slice(i, j) for i, j in pairwise(cuts) if j - i >= 2 * SINE_NUMBERS]
+        out += [slice(i, j) for i, j in pairwise(cuts) if j - i >= 2 * sines.SINE_NUMBERS]
     return out
 
 
@@ -127,9 +125,6 @@ def _without_sine(left: Array, parts: Sequence[slice], frequency: float) -> Arra
     """Return residuals without a sine, fitted to every piece by itself."""
     out = left.copy()
     for part in parts:
-        n = part.stop - part.start
-        phase = 2.0 * np.pi * frequency * np.arange(n)
-        steady = np.column_stack([np.cos(phase), np.sin(phase)])
-        columns = np.hstack([steady, steady * np.linspace(-1.0, 1.0, n)[:, None]])
-        out[part] -= columns @ np.linalg.lstsq(columns, out[part], rcond=None)[0]
+        counted = np.arange(part.stop - part.start, dtype=np.float64)
+        out[part] = sines.without_sines(out[part], counted, [frequency])
     return out
