@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
-from stillcal.calib_core.maths.sines import without_sines
+from stillcal.calib_core.maths.sines import without_vibrations
 from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
 
@@ -40,10 +40,6 @@ MODEL = 0.02
 """Relative error of a cutoff for not knowing how the filter was made."""
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
-
-STEADY_S = 20.0
-"""Seconds in which a line keeps its amplitude and pitch, but for a straight change: as the stretches in which
-lines are sought."""
 
 LOBE = 2.0
 """Frequencies of a spectrum on either side of a line that a Hann window spreads it over."""
@@ -71,19 +67,10 @@ def quiet(samples: Samples, bins: Bins, lines: Sequence[float] = ()) -> Quiet:
     last = np.searchsorted(samples.t, bins.t + bins.duration / 2)
     period = sample_period(samples.t)
     keep = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST]
-    pieces = tuple(_without_lines(samples.xyz[a:b], samples.t[a:b], lines) for a, b in keep)
+    rests = [(samples.xyz[a:b] - samples.xyz[a:b].mean(axis=0), samples.t[a:b]) for a, b in keep]
+    pieces = tuple(without_vibrations(xyz, t, lines) for xyz, t in rests)
     starts = tuple(float(samples.t[a]) for a, _ in keep)
     return Quiet(pieces, starts, 1.0 / max(period, 1e-9), tuple(lines))
-
-
-def _without_lines(xyz: Array, t: Array, lines: Sequence[float]) -> Array:
-    """Return values (n, 3) at t (n,) s less their mean, without sines of some frequencies, Hz."""
-    piece = np.asarray(xyz - xyz.mean(axis=0))
-    if not lines:
-        return piece
-    parts = max(round(float(t[-1] - t[0]) / STEADY_S), 1)
-    cut = zip(np.array_split(piece, parts), np.array_split(t, parts), strict=True)
-    return np.concatenate([without_sines(values, at, lines) for values, at in cut])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

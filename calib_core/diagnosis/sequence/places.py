@@ -129,6 +129,8 @@ class Noise:
 
 def _size(values: Array, used: NDArray[np.bool_]) -> Array:
     """Return the size (m,) of values (m, 3) of all axes, less its mean, nothing where they are not used."""
+    if not used.any():
+        return np.zeros(len(values))
     size = np.minimum(np.abs(values), FARTHEST).mean(axis=1)
     return np.where(used, size - size[used].mean(), 0.0)
 

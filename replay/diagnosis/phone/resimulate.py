@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW
+from stillcal.calib_core.diagnosis.sequence.findings import still_rows
+from stillcal.calib_core.maths.sines import without_vibrations
 from stillcal.calib_core.streams.resample import interpolate, median_rate_hz, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import Condenser, LongRecording, overview_of
@@ -29,6 +31,7 @@ from stillcal.replay.diagnosis.phone.twin import (
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.clock import BLOCK_S, StreamClock, Ticks
 from stillcal.replay.phone.effects.base import Effect, Moment
+from stillcal.replay.phone.effects.on_input import VibrationTone
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.sensor_chain import SensorChain
 
@@ -75,9 +78,10 @@ def motion_of(
     """Return the motion behind a recording: free of its constant errors and of the effects found in it.
 
     In static bins the phone is perfectly still in the attitude measured there. effects: a delay of the
-    gyroscope and a clock's error are taken back, what stopped at a limit goes on beyond it, and what the
-    others add, as far as it follows from the recording, is taken off.
+    gyroscope and a clock's error are taken back, what stopped at a limit goes on beyond it, a vibration is
+    taken off as the bins show it, and what the others add, as far as it follows from the recording.
     """
+    recording = _without_tones(recording, bins, effects, conditions)
     accel, gyroscope = recording.accelerometer, recording.gyroscope
     moved = _without(recording, affine, effects, added_to(recording, affine, effects, conditions))
     at_rest, still = gravity * affine.baseline.up, np.zeros((len(bins), 3))
@@ -131,6 +135,33 @@ def _without(
     delay = sum(float(getattr(e, "delay", 0.0)) for e in effects if e.name == "accel_gyro_time_offset")
     rate = affine.true_rate(_unlimited(gyroscope, effects).xyz - added[1])
     return Motion(accel.t, force, gyroscope.t - delay, rate)
+
+
+def _without_tones(
+    recording: Recording, bins: Bins, effects: Sequence[Effect], conditions: Conditions
+) -> Recording:
+    """Return a recording without the vibrations found, which a phone that has them adds anew.
+
+    Else they would be there twice where the phone moves, in another phase than a rest's end has.
+    """
+    tones = [e for e in effects if isinstance(e, VibrationTone)]
+
+    def bare(samples: Samples) -> Samples:
+        xyz, since = samples.xyz, samples.t - conditions.t_start
+        for tone in tones:
+            there = (since >= tone.start_s) & (since < tone.start_s + tone.duration_s)
+            if tone.concerns(samples.sensor) and there.any():
+                still = still_rows(samples.t, bins)[there]
+                xyz = xyz.copy()
+                xyz[there] = without_vibrations(xyz[there], samples.t[there], [tone.frequency], still)
+        return replace(samples, xyz=frozen(xyz))
+
+    gyroscope = recording.gyroscope
+    return replace(
+        recording,
+        accelerometer=bare(recording.accelerometer),
+        gyroscope=None if gyroscope is None else bare(gyroscope),
+    )
 
 
 def _unlimited(samples: Samples, effects: Sequence[Effect]) -> Samples:

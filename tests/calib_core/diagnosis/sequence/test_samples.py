@@ -226,3 +226,12 @@ def test_one_overtone_alone_is_no_batch() -> None:
     size[overtones] = 8.0
     period, nats = batch([size], tones=True)
     assert period == 11 and nats > 10.0
+
+
+def test_noise_that_is_never_calm_on_all_axes_at_once_has_no_size_to_follow() -> None:
+    rng, n = np.random.default_rng(2), 20_000
+    loud = (np.arange(n) // 256 % 3)[:, None] == np.arange(3)
+    noise = Noise.of(rng.normal(size=(n, 3)) * np.where(loud, 4.0, 1.0), np.ones(n, dtype=np.bool_))
+    assert noise is not None
+    assert not noise.calm.any()
+    assert noise.lines_of_size().max() == 0.0
