@@ -9,6 +9,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.samples import Samples
 
+GAP = 3.0
+"""Usual intervals without a sample from where on a spline swings too wide."""
+
 
 def median_rate_hz(samples: Samples) -> float:
     """Return the samples a second by the median interval; 0 with fewer than two samples."""
@@ -33,13 +36,39 @@ def read_later(samples: Samples, delay: float | Array) -> Samples:
 
     By a cubic spline: a straight line between two samples would take 1 % off a step's fifth overtone.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - the daemon stays light
-
-    t, first = np.unique(samples.t, return_index=True)
-    course = CubicSpline(t, samples.xyz[first])
-    by_axis = [course(np.clip(samples.t - late, t[0], t[-1])) for late in np.ravel(delay)]
+    by_axis = [read_at(samples, samples.t - late).xyz for late in np.ravel(delay)]
     xyz = by_axis[0] if len(by_axis) == 1 else np.stack([x[:, a] for a, x in enumerate(by_axis)], axis=1)
     return replace(samples, xyz=frozen(xyz))
+
+
+def read_at(samples: Samples, t: Array) -> Samples:
+    """Return samples, stamped t (n,) s, of what was read then, by a cubic spline.
+
+    Across a gap of `GAP` usual intervals it is a straight line. Before the first and after the last sample,
+    the first and last value hold. Temperature and times of arrival are left out.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - the daemon stays light
+
+    known, first = np.unique(samples.t, return_index=True)
+    values, steps = samples.xyz[first], np.diff(known)
+    xyz = CubicSpline(known, values)(np.clip(t, known[0], known[-1]))
+    gap = (steps > GAP * np.median(steps))[np.clip(np.searchsorted(known, t) - 1, 0, steps.size - 1)]
+    xyz[gap] = interpolate(t[gap], known, values)
+    return Samples(samples.sensor, frozen(t), frozen(xyz))
+
+
+def means_over(samples: Samples, step: float) -> Samples:
+    """Return the means of readings over `step` s each, one beside the other, stamped by their middle.
+
+    Between samples the readings are taken for straight lines. No samples where they are shorter than a step.
+    """
+    t, first = np.unique(samples.t, return_index=True)
+    xyz = samples.xyz[first]
+    rises = np.diff(t)[:, None] * (xyz[1:] + xyz[:-1]) / 2.0
+    total = np.concatenate([np.zeros((1, 3)), np.cumsum(rises, axis=0)])
+    edges = t[0] + step * np.arange(int((t[-1] - t[0]) / step) + 1)
+    means = np.diff(interpolate(edges, t, total), axis=0) / step
+    return Samples(samples.sensor, frozen(edges[:-1] + step / 2.0), frozen(means))
 
 
 def temperature_at(samples: Samples, t: Array) -> Array | None:

@@ -1,7 +1,4 @@
-"""Recordings of one motion by two sensors: `--paired` (a simulation of it) and `--witness` (a second sensor).
-
-What the recording reads less what the other reads is judged itself, moved or not.
-"""
+"""A simulation of the recording's own motion (`--paired`): what one reads less the other is judged."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
@@ -29,7 +26,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrep
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.errors import UserError
-from stillcal.calib_core.streams.resample import interpolate, temperature_at
+from stillcal.calib_core.streams.resample import read_at, temperature_at
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import clipped, correct, low_passed
@@ -42,21 +39,13 @@ from stillcal.replay.diagnosis.judged import (
     refuse_short,
     silent,
 )
-from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.formats.trace import Recording
 
 SAME_STAMP = 0.1
 """Part of the sample period by which two stamps of one moment may differ: rounding, and no more."""
 
-MISMATCH = 0.01
-"""Part of what shakes a body by which the means of two sensors on it differ: they rectify differently, and
-are not quite at one place and one time. A simulation at the same stamps is."""
-
 READINGS = "comparing the readings of one motion"
 AGAIN = "comparing again, without what was found"
-
-COMMON = 0.5
-"""Part of the recording that a witness must have been there for."""
 
 
 def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
@@ -65,7 +54,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     Values and noise at rest are those of either, and compared as such. Raises UserError where stamps differ,
     NotSupported on too little data.
     """
-    _refuse_itself(recording, [simulation])
+    refuse_itself(recording, [simulation])
     _refuse_other_stamps(recording, simulation)
     refuse_short(recording, simulation)
     recorded = examined(recording, show_stage, search=False)
@@ -104,32 +93,6 @@ def _measured(made: Recording, simulated: Examination, played: Sequence[Discrepa
     """Return what a corrected simulation shows, its own values and noise where these were left alone."""
     changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
     return with_own_values(examined(made, silent, search=False), simulated, changed)
-
-
-def judge_with_witnesses(
-    recording: Recording, witnesses: Sequence[Recording], show_stage: ShowStage = silent
-) -> Judged:
-    """Judge a recording against the built-in simulation, slow effects by what other sensors read beside it.
-
-    How a witness is mounted, and its own bias and scale, do not matter. Of several the mean is taken. Raises
-    UserError where they were not there at the same time, NotSupported on too little data.
-    """
-    _refuse_itself(recording, witnesses)
-    recording = _while_there(recording, witnesses)
-    recorded = examined(recording, show_stage, search=False)
-    show_stage(READINGS, 0.0)
-    true = mean_readings(recording, witnesses)
-    bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), MISMATCH)
-    stated = recorded.statements
-    exam = examined_in_pair(recorded, bins, scenes, stated, lambda done: show_stage(READINGS, done))
-    before = compare_in_pair(exam)
-    fit = Fit.of(before, before)
-    if before.discrepancies:
-        show_stage(AGAIN, 0.0)
-        after = without_found(exam, before, stated)
-        fit = Fit.of(before, after, without_equation(before))
-    answer = answer_of(before, (recording.name, BUILT_IN), fit, {}, exam.bins.temperature)
-    return Judged(recording, exam, None, before, None, None, answer)
 
 
 def _alike(
@@ -181,7 +144,7 @@ def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
     return recording
 
 
-def _refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
+def refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
     """Raise UserError where another recording holds the same samples: nothing is left between them."""
     own = recording.accelerometer.xyz
     for other in others:
@@ -216,30 +179,6 @@ def _refuse_other_stamps(recording: Recording, simulation: Recording) -> None:
         )
 
 
-def _while_there(recording: Recording, witnesses: Sequence[Recording]) -> Recording:
-    """Cut a recording to when all witnesses were there. Raises UserError where that is too little of it."""
-    t = recording.accelerometer.t
-    streams = [s for w in witnesses for s in (w.accelerometer, w.gyroscope) if s is not None]
-    start, end = max(float(s.t[0]) for s in streams), min(float(s.t[-1]) for s in streams)
-    if min(end, t[-1]) - max(start, t[0]) < COMMON * (t[-1] - t[0]):
-        name = next((w.name for w in witnesses), "the witness")
-        raise UserError(
-            f"{name}: recorded from {start:.6g} to {end:.6g} s, {recording.name} from {t[0]:.6g} to"
-            f" {t[-1]:.6g} s; a witness must have been there for at least half of the recording"
-        )
-
-    def cut(samples: Samples | None) -> Samples | None:
-        return None if samples is None else samples[_inside(samples.t, start, end)]
-
-    accelerometer = cut(recording.accelerometer)
-    assert accelerometer is not None, "half of it is left"
-    return replace(recording, accelerometer=accelerometer, gyroscope=cut(recording.gyroscope))
-
-
-def _inside(t: Array, start: float, end: float) -> slice:
-    return slice(int(np.searchsorted(t, start)), int(np.searchsorted(t, end, side="right")))
-
-
 def readings_of(recording: Recording) -> Readings:
     """Return what a recording's two sensors read."""
     return Readings(recording.accelerometer, recording.gyroscope)
@@ -254,7 +193,7 @@ def mean_readings(recording: Recording, others: Sequence[Recording]) -> Readings
 
 
 def _mean(own: Samples, others: Sequence[Samples]) -> Samples:
-    every = [interpolate(own.t, o.t, o.xyz) for o in others]
+    every = [read_at(o, own.t).xyz for o in others]
     return replace(own, xyz=frozen(np.mean(every, axis=0)))
 
 

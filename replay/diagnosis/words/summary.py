@@ -86,6 +86,7 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
         f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
     ]
     out += [f"  {text}" for text in [outcome(answer)] if text]
+    out += [f"  witness: {one['note']}" for one in answer.get("witnesses", [])]
     agreed = ", ".join(_with_frequency(a) for a in answer["agreed"] if "note" not in a)
     if agreed:
         out.append(f"  agreed: {agreed}")

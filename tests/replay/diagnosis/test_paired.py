@@ -19,7 +19,8 @@ from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.paired import MISMATCH, judge_paired, judge_with_witnesses, less, mean_readings
+from stillcal.replay.diagnosis.paired import judge_paired, less, mean_readings
+from stillcal.replay.diagnosis.witnesses import MISMATCH, judge_with_witnesses
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording, read_all
 from tests.support.diagnosis import turned_pairs

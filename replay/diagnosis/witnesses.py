@@ -1,0 +1,156 @@
+"""Other sensors on the same body (`--witness`): what the recording reads less what they read is judged.
+
+How they are turned and what their clocks say is found from the motion that they share, and undone before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.pair.clocks import MOST_LATE
+from stillcal.calib_core.diagnosis.comparison.pair.compare import (
+    compare_in_pair,
+    without_equation,
+    without_found,
+)
+from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, Mounting, mounting
+from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
+from stillcal.calib_core.errors import NotSupported, UserError
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
+from stillcal.replay.diagnosis.paired import AGAIN, READINGS, less, mean_readings, readings_of, refuse_itself
+from stillcal.replay.diagnosis.words.names import BUILT_IN
+from stillcal.replay.diagnosis.words.units import plain
+from stillcal.replay.formats.trace import Recording
+
+MISMATCH = 0.01
+"""Part of what shakes a body by which the means of two sensors on it differ: they rectify differently, and
+are not quite at one place and one time. A simulation at the same stamps is."""
+
+THERE = 0.5
+"""Part of the recording that a witness must have been there for."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Witness:
+    """Another sensor's recording, with its turn and its clock taken off, and what these were."""
+
+    recording: Recording
+    mounting: Mounting
+
+    def plain(self) -> dict[str, Any]:
+        """Return what was taken off in plain values, with a sentence."""
+        found, degree = self.mounting, np.degrees(1.0)
+        angle, late, rate = found.angle, found.delay, found.rate
+        return {
+            "recording": self.recording.name,
+            "mounting": {
+                "angle": _parameter(angle, float(degree), "deg"),
+                "rotation": found.rotation.tolist(),
+            },
+            "clock": {"delay": _parameter(late, 1.0, "s"), "rate": _parameter(rate, 1.0, "1")},
+            "shared_motion": found.shared,
+            "note": f"{self.recording.name} is turned by {_text(angle, float(degree), 'deg')} against the"
+            f" recording, its stamps are late by {_text(late, 1e3, 'ms')} in the middle and its clock is fast"
+            f" by {_text(rate, 1e6, 'ppm')}; this is taken off.",
+        }
+
+
+def _parameter(one: Measured, factor: float, unit: str) -> dict[str, Any]:
+    value, half = one.value * factor, NORMAL_95 * one.error * factor
+    return {"value": value, "ci95": [value - half, value + half], "unit": unit}
+
+
+def _text(one: Measured, factor: float, unit: str) -> str:
+    return f"{plain(one.value * factor, NORMAL_95 * one.error * factor)} {unit}"
+
+
+def judge_with_witnesses(
+    recording: Recording, witnesses: Sequence[Recording], show_stage: ShowStage = silent
+) -> Judged:
+    """Judge a recording against the built-in simulation, slow effects by what other sensors read beside it.
+
+    How a witness is mounted, what its clock says, and its own bias and scale, do not matter. Of several the
+    mean is taken. Raises UserError where they were not there at the same time or not on the same body,
+    NotSupported on too little data.
+    """
+    refuse_itself(recording, witnesses)
+    _while_there(recording, witnesses)
+    beside = [_aligned(recording, one) for one in witnesses]
+    others = [one.recording for one in beside]
+    recording = _while_there(recording, others)
+    recorded = examined(recording, show_stage, search=False)
+    show_stage(READINGS, 0.0)
+    true = mean_readings(recording, others)
+    bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), MISMATCH)
+    stated = recorded.statements
+    exam = examined_in_pair(recorded, bins, scenes, stated, lambda done: show_stage(READINGS, done))
+    before = compare_in_pair(exam)
+    fit = Fit.of(before, before)
+    if before.discrepancies:
+        show_stage(AGAIN, 0.0)
+        after = without_found(exam, before, stated)
+        fit = Fit.of(before, after, without_equation(before))
+    answer = answer_of(before, (recording.name, BUILT_IN), fit, {}, exam.bins.temperature)
+    answer["witnesses"] = [one.plain() for one in beside]
+    return Judged(recording, exam, None, before, None, None, answer)
+
+
+def _aligned(recording: Recording, witness: Recording) -> Witness:
+    """Return a witness in the recording's axes and on its clock.
+
+    Raises UserError where it is not shown to be on the same body, NotSupported where the motion does not
+    tell how it is turned.
+    """
+    read = readings_of(witness)
+    found = mounting(readings_of(recording), read)
+    if found is None:
+        raise NotSupported(
+            f"the body hardly moves, so it is not shown that {witness.name} was on it",
+            ("a recording in which the body is turned; or leave --witness out",),
+        )
+    if not found.one_body:
+        raise UserError(
+            f"{witness.name}: was not on the same body as {recording.name}, or its stamps are off by more"
+            f" than {MOST_LATE:.0f} s: it shares {max(found.shared, 0.0):.0%} of the motion, and at least"
+            f" {SHARED:.0%} is needed; give a sensor that was on the same body, or leave --witness out"
+        )
+    if not found.is_known:
+        raise NotSupported(
+            f"how {witness.name} is mounted is not shown, because the body turns about one axis only",
+            ("turns about another axis",),
+        )
+    back = found.undone(read)
+    return Witness(replace(witness, accelerometer=back.force, gyroscope=back.rate), found)
+
+
+def _while_there(recording: Recording, witnesses: Sequence[Recording]) -> Recording:
+    """Cut a recording to when all witnesses were there. Raises UserError where that is too little of it."""
+    t = recording.accelerometer.t
+    streams = [s for w in witnesses for s in (w.accelerometer, w.gyroscope) if s is not None]
+    start, end = max(float(s.t[0]) for s in streams), min(float(s.t[-1]) for s in streams)
+    if min(end, t[-1]) - max(start, t[0]) < THERE * (t[-1] - t[0]):
+        name = next((w.name for w in witnesses), "the witness")
+        raise UserError(
+            f"{name}: recorded from {start:.6g} to {end:.6g} s, {recording.name} from {t[0]:.6g} to"
+            f" {t[-1]:.6g} s; a witness must have been there for at least half of the recording"
+        )
+
+    def cut(samples: Samples | None) -> Samples | None:
+        return None if samples is None else samples[_inside(samples.t, start, end)]
+
+    accelerometer = cut(recording.accelerometer)
+    assert accelerometer is not None, "half of it is left"
+    return replace(recording, accelerometer=accelerometer, gyroscope=cut(recording.gyroscope))
+
+
+def _inside(t: Array, start: float, end: float) -> slice:
+    return slice(int(np.searchsorted(t, start)), int(np.searchsorted(t, end, side="right")))
