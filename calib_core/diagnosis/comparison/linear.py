@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
+from stillcal.calib_core.diagnosis.model.effect import Effect, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
@@ -186,11 +186,17 @@ def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
 
     for effect in effects_in(scene):
         same = (wanted.kind, effect.name, effect.follows) == wanted.key
-        if not same or len(effect.parameters) != len(wanted.hypothesis.effect.parameters):
+        if not same or not _of_one_form(effect, wanted.hypothesis.effect):
             continue
         if found := scene.hypotheses(effect):
             return nearest(scene.finer(nearest(found)))
     return None
+
+
+def _of_one_form(one: Effect, other: Effect) -> bool:
+    """Whether two effects of one name have the same numbers: a polynomial of one degree, or a lag."""
+    forms = [([p.name for p in effect.parameters], effect.grid_units) for effect in (one, other)]
+    return forms[0] == forms[1]
 
 
 def _apart(one: Mapping[str, float], other: Mapping[str, float]) -> float:

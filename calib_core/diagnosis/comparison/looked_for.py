@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
-from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies, kind_of_column
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -83,7 +83,7 @@ def slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
 def _of_columns(exam: Examination) -> dict[tuple[str, str], tuple[str, bool]]:
     """Return by effect and sensor the further columns that were logged, and whether each moves at rest."""
     return {
-        (CovariateBias(scene.sensor, column, 1.0).name, scene.sensor): (
+        (f"{scene.sensor}_{kind_of_column(column)}", scene.sensor): (
             column,
             moves(scene.moments.column(column)),
         )

@@ -61,7 +61,11 @@ class PolynomialBias(BiasEffect):
             for i, name in enumerate(("slope", "quadratic", "cubic")[:degree])
         )
 
+    def power(self, moments: Moments, grid: Grid, p: int) -> Array:
+        """Return the driver (n,) to the power of p."""
+        return np.asarray(self.curve(moments, grid) ** p)
+
     def response(self, moments: Moments, grid: Grid) -> Array:
         """Return the powers of the driver on each axis, (n, 3, 3 degree)."""
-        driver = self.curve(moments, grid)
-        return np.concatenate([on_axes(driver**p) for p in range(1, self.degree + 1)], axis=2)
+        powers = [self.power(moments, grid, p) for p in range(1, self.degree + 1)]
+        return np.concatenate([on_axes(power) for power in powers], axis=2)

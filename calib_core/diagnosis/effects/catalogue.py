@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity, GSensitivity
 from stillcal.calib_core.diagnosis.effects.by_rate import RateNonlinearity
-from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.effects.covariate import covariate_effects
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature, ScaleTemperature
 from stillcal.calib_core.diagnosis.effects.timed import Charging, Drift, Step
 from stillcal.calib_core.diagnosis.effects.unknown import unknown_effects, unknown_sentence
@@ -83,8 +83,11 @@ def effects_in(scene: Scene, without: Collection[str] = ()) -> list[Effect]:
     if not scene.turns:
         moments = scene.moments
         spreads = {name: float(np.ptp(moments.column(name))) for name in moments.history.columns}
-        logged = [
-            CovariateBias(scene.sensor, name, spread) for name, spread in spreads.items() if spread > 0.0
+        logged += [
+            effect
+            for name, spread in spreads.items()
+            if spread > 0.0
+            for effect in covariate_effects(scene.sensor, name, spread)
         ]
     return [*logged, *effects_of(scene.sensor, without, in_turns=bool(scene.turns))]
 

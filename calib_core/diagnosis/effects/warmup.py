@@ -25,8 +25,15 @@ ROUGH = 0.25
 """How far heat is from a first-order response to charging and use, as a part of it."""
 
 
-def _nearby(grid: Grid) -> list[Grid]:
+def nearby(grid: Grid) -> list[Grid]:
+    """Return grid points with time constants within a factor of four of one."""
     return [grid | {"tau_s": float(tau)} for tau in grid["tau_s"] * NEAR]
+
+
+def time_constants(moments: Moments) -> list[Grid]:
+    """Return the time constants up to half the recording."""
+    start, end = moments.history.span
+    return [{"tau_s": tau} for tau in TAUS if tau <= (end - start) / 2.0]
 
 
 def relaxation(moments: Moments, tau: float) -> Array:
@@ -54,12 +61,11 @@ class Warmup(BiasEffect):
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return time constants up to half the recording."""
-        start, end = moments.history.span
-        return [{"tau_s": tau} for tau in TAUS if tau <= (end - start) / 2.0]
+        return time_constants(moments)
 
     def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
         """Return time constants within a factor of four."""
-        return _nearby(grid)
+        return nearby(grid)
 
     def curve(self, moments: Moments, grid: Grid) -> Array:
         """Return 1 - exp(-age / tau)."""
@@ -106,7 +112,7 @@ class LatentHeat(BiasEffect):
 
     def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
         """Return time constants within a factor of four."""
-        return _nearby(grid)
+        return nearby(grid)
 
     def curve(self, moments: Moments, grid: Grid) -> Array:
         """Return the latent temperature, scaled to a range of one over the whole recording."""
