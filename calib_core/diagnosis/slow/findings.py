@@ -122,12 +122,23 @@ def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
 def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
+    Where none of the steps stands, what was a rival of the first one is tried, the likeliest first: the
+    search was sure that there is structure, and only its shape was wrong.
+    """
+    stated = _standing(scene, steps)
+    tried = iter(_rivals(steps[0])) if steps else iter(())
+    while not stated and (rival := next(tried, None)):
+        stated = _standing(scene, [rival])
+    return stated
+
+
+def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
+    """Return the steps that stand, as findings.
+
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
     what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
-    the others; names are then weighed anew. A name whose sizes are not told is taken off. Where nothing is
-    left, structure that was a rival of the first name is tried.
+    the others; names are then weighed anew. A name whose sizes are not told is taken off.
     """
-    first = steps[0] if steps else None
     while kept := adequate(steps):
         if not _stands_alone(kept[-1].winner):
             steps = _without(steps, kept[-1]) + _passed_over(kept[-1])
@@ -149,8 +160,7 @@ def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
             return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
         weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]
         steps = _without(steps, weak[-1])
-    rival = _rival(first) if first else None
-    return statements_of(scene, [Step(rival, ())]) if rival else []
+    return []
 
 
 def _unsized(found: Estimate) -> bool:
@@ -173,11 +183,16 @@ def _by_chance(found: Estimate, count: int) -> bool:
     return found.hypothesis.effect.name != "unknown" and found.chance() >= NOTHING
 
 
-def _rival(first: Step) -> Scored | None:
-    """Return what is tried if a first step does not stand: what scored more, or the best without a name."""
-    scored_more = [s for s in first.others[:1] if s.score > first.winner.score]
-    nameless = [s for s in _best_nameless(first) if s.score >= thresholds.SCORE]
-    return next(iter([*scored_more, *nameless]), None)
+def _rivals(first: Step) -> list[Step]:
+    """Return what is tried if a first step does not stand, the likeliest first, each beside the others.
+
+    What scored more than a name that was preferred to it comes first. A rival must score what a finding
+    must; what scored less than that only where the first step did, too.
+    """
+    least = min(thresholds.SCORE, first.winner.score)
+    every = [first.winner, *first.others]
+    rivals = sorted((s for s in first.others if s.score >= least), key=lambda s: -s.score)
+    return [Step(s, tuple(other for other in every if other is not s)) for s in rivals]
 
 
 def each_driver_once(stated: Sequence[Stated]) -> list[Stated]:

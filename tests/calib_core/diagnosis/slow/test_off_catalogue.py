@@ -229,6 +229,18 @@ def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_with
     assert findings_of(scene, [Step(name, ())]) == []
 
 
+def test_where_neither_the_first_nor_its_first_rival_stands_the_others_are_tried() -> None:
+    """A step of a bias was "no difference" though the search was sure of it: two shapes near it fell."""
+    day = short_day(6)
+    scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
+    period = ranking(scene, effects_of("gyro"))[0]
+    drifts = proposals(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])
+    fit = fit_hypothesis(reduce_scene(scene, drifts[:1]), 0)
+    first, second = (Scored(drifts[0], fit, period.score + more, 10.0) for more in (1.0, 2.0))
+    assert findings_of(scene, [Step(first, (second,))]) == []
+    assert [f.effect for f in findings_of(scene, [Step(first, (second, period))])] == ["unknown"]
+
+
 def test_what_does_not_stand_beside_a_name_does_not_take_it_away() -> None:
     _, day = day_of(7)
     scene, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]), seconds=3600)
