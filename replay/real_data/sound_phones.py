@@ -49,7 +49,7 @@ def measured(samples: Samples) -> dict[str, Measured]:
 
 def measured_of(exam: Examination) -> dict[str, Measured]:
     """Return the same of an examined recording, of the accelerometer where both sensors show it."""
-    out = quantities.of_stamps(exam.accelerometer)
+    out = quantities.of_stamps(exam.accelerometer) | quantities.of_intervals(exam.accelerometer)
     for stream in reversed(exam.streams):
         out |= quantities.of_values(stream.samples)
         out |= stream.measured()

@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.noise import (
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps import clock
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
+from stillcal.calib_core.diagnosis.stamps.interval_memory import Memory
 from stillcal.calib_core.streams.samples import Samples
 
 
@@ -35,6 +36,15 @@ def of_stamps(samples: Samples) -> dict[str, Measured]:
         share = clock.burst_share(clock.waited(samples.t, arrived, period))
         out["arrival_bursts"] = share.log(clock.LEAST_SHARE)
     return out
+
+
+def of_intervals(samples: Samples) -> dict[str, Measured]:
+    """Return how the scatter of one stream's stamps grows with time, which is no effect's own number."""
+    period = sample_period(samples.t)
+    if len(samples) < clock.LEAST_SAMPLES or period <= 0.0 or bunched(samples.t):
+        return {}
+    memory = Memory.of(stamps.Grid.of(samples.t, period))
+    return {} if memory is None else {"interval_memory": memory.size()}
 
 
 def of_values(samples: Samples) -> dict[str, Measured]:

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.segments.sample_period import HEELS as ON_HEE
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps import timestamps as stamps
 from stillcal.calib_core.diagnosis.stamps.clock_wander import wander
+from stillcal.calib_core.diagnosis.stamps.interval_memory import interval_memory
 from stillcal.calib_core.diagnosis.stamps.rate_changes import rate_change, stretches
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
@@ -53,7 +54,9 @@ def timing_findings(samples: Samples, claims: Claims, sound: SoundPhones) -> lis
         found.append(_stamped_in_bursts(samples.t, period, sound["arrival_bursts"], where))
     else:
         grid = stamps.Grid.of(samples.t, period)
-        found.append(stamps.jitter(grid, usual(sound, "timestamp_jitter", nominal), where))
+        together = interval_memory(grid, sound["interval_memory"], where)
+        alone = stamps.jitter(grid, usual(sound, "timestamp_jitter", nominal), where)
+        found.append(together or alone)
         found.append(stamps.drops(grid, usual(sound, "dropped_samples", nominal), where))
         if arrived is not None:
             common = usual(sound, "arrival_bursts", nominal)
