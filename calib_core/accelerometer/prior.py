@@ -32,7 +32,9 @@ them (MPU-6050, BMI160: 40 to 80 mg, 1 to 3 %, 1 to 2 % at most). Fifteen phones
 2015 have 0.23 m/s^2, 0.6 % and 0.3 % (rms)."""
 
 _KINDS = np.repeat(np.arange(3), 3)  # kind of each parameter: bias, diagonal, cross-axis
-_CROSS_AXIS = 0.005  # half of the 1 % of cross-axis sensitivity that phones' datasheets give
+CROSS_AXIS_SD = 0.005
+"""Half of the 1 % of cross-axis sensitivity that data sheets of phones' parts give."""
+
 _UNKNOWN = 1.0  # variance of a parameter that a device's fit did not estimate, far beyond any phone's
 _ROUNDS, _SETTLED = 500, 1e-6  # most steps of expectation-maximisation, and the relative change that ends it
 _REWEIGHED = 2  # fits with new weights: those of the second come from a fitted model and hardly change more
@@ -185,7 +187,7 @@ def _initial_covariance(y: Array, own: Array) -> Array:
     """Return a covariance to start from, with datasheet values for parameters that no fit estimated."""
     scatter = np.cov(y.T) * (len(y) - 1)
     unknown = (np.diagonal(own, axis1=1, axis2=2) >= _UNKNOWN).all(axis=0)
-    return _shrunk(scatter + np.diag(np.where(unknown, _CROSS_AXIS**2 * len(y), 0.0)), len(y) - 1)
+    return _shrunk(scatter + np.diag(np.where(unknown, CROSS_AXIS_SD**2 * len(y), 0.0)), len(y) - 1)
 
 
 def _shrunk(scatter: Array, count: int) -> Array:

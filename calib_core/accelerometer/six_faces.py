@@ -9,6 +9,7 @@ opposite faces are from opposite (variance components; Förstner 1979). Rests in
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,7 @@ from stillcal.calib_core.accelerometer.known_attitudes import (
     missing_faces,
     six_faces,
 )
+from stillcal.calib_core.accelerometer.odd_face import OddFace, odd_faces
 from stillcal.calib_core.accelerometer.parameters import basis
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import NotSupported
@@ -58,7 +60,8 @@ class SixFaces:
 
     covariance: (12, 12) of bias, then scale row by row. tilt: rad, root mean square tilt of a face.
     rotation_sd: rad, standard uncertainty of the rotation common to all axes, about the worst axis.
-    residuals: (n,) m/s^2, of the norms. n_states: number of distinct attitudes.
+    residuals: (n,) m/s^2, of the norms. n_states: number of distinct attitudes. odd: faces that do not agree
+    with the other five.
     """
 
     model: SensorModel
@@ -67,6 +70,7 @@ class SixFaces:
     rotation_sd: float
     residuals: Array
     n_states: int
+    odd: Sequence[OddFace] = ()
 
     @property
     def rms_residual(self) -> float:
@@ -114,6 +118,7 @@ def fit_six_faces(
         )
     widened = (quantile(free, 0.975) / _NORMAL_975) ** 2
     model = SensorModel.of(theta[3:].reshape(3, 3), theta[:3])
+    by_norms = norm_rows / sd[:, None], norms / sd
     covariance = frozen(widened * normal)
     return SixFaces(
         model=model,
@@ -122,6 +127,7 @@ def fit_six_faces(
         rotation_sd=float(np.sqrt(np.diag(rotation_covariance(model.scale, covariance)).max())),
         residuals=frozen(_norms(theta, forces, gravity)[1]),
         n_states=int(labels.max()) + 1,
+        odd=odd_faces(model.scale, by_norms, (tilt_rows, tilts), settings.max_tilt),
     )
 
 

@@ -6,10 +6,13 @@ known faces, a new one is turned by the same rotation: norms, by which calibrati
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from stillcal.calib_core.accelerometer.known_attitudes import FACE_WORDS
+from stillcal.calib_core.accelerometer.odd_face import OddFace
 from stillcal.calib_core.accelerometer.parameters import ALL, Form, basis, names
 from stillcal.calib_core.accelerometer.six_faces import (
     SixFaces,
@@ -35,18 +38,30 @@ from stillcal.calib_core.calibration.record import (
     StateRecord,
 )
 from stillcal.calib_core.calibration.rest_pool import Pool
+from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.rest import attitude_labels, force_uncertainties, forces
 
 
-def calibrate_faces(pool: Pool, gravity: Gravity, t: float, settings: CalibrateSettings) -> CalibrationRecord:
+def calibrate_faces(
+    pool: Pool,
+    gravity: Gravity,
+    t: float,
+    settings: CalibrateSettings,
+    unquestioned: Collection[int] = range(6),
+) -> CalibrationRecord:
     """Calibrate both sensors from rests among which are the six faces, at sample time t (s).
 
-    Raises NotSupported where a face is missing, or the faces are too far from square and level.
+    unquestioned: numbers of faces that are taken as they lie even if they do not agree with the other five;
+    the reason then says so. Raises NotSupported where a face is missing, the faces are too far from square
+    and level, or another one does not agree, naming it.
     """
     raw, local = forces(pool.rests), np.array([h.gravity.value for h in pool.held])
     samples = np.array([float(rest.n) for rest in pool.rests])
     fit = fit_six_faces(raw, force_uncertainties(pool.rests), local, samples)
+    again = [FACE_WORDS[odd.face] for odd in fit.odd if odd.face not in unquestioned]
+    if again:
+        raise NotSupported(f"{_disagreeing(fit.odd)}: lay it again, flat", again)
     gyro = fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(raw, settings.accelerometer.attitude_angle)
     degrees = np.degrees([fit.tilt, fit.rotation_sd])
@@ -54,6 +69,8 @@ def calibrate_faces(pool: Pool, gravity: Gravity, t: float, settings: CalibrateS
         f"six known faces, tilted by {degrees[0]:.2g} degrees (rms); "
         f"the rotation of all axes is known to {degrees[1]:.2g} degrees (1 sd)"
     )
+    if fit.odd:
+        reason += f"; {_disagreeing(fit.odd)} ({', '.join(FACE_WORDS[odd.face] for odd in fit.odd)})"
     return CalibrationRecord(
         accelerometer=_accelerometer_record(fit, len(raw), gravity, float(local.mean())),
         gyroscope=None if gyro is None else gyroscope_record(gyro, t),
@@ -67,6 +84,11 @@ def calibrate_faces(pool: Pool, gravity: Gravity, t: float, settings: CalibrateS
             for rest, residual, label in zip(pool.rests, fit.residuals, labels, strict=True)
         ),
     )
+
+
+def _disagreeing(odd: Sequence[OddFace]) -> str:
+    tilts = " and ".join(f"{np.degrees(one.tilt):.0f}" for one in odd)
+    return f"a face is {tilts} degrees off what the other five show"
 
 
 def inherit_rotation(old: CalibrationRecord | None, new: CalibrationRecord) -> CalibrationRecord:

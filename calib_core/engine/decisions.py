@@ -9,7 +9,7 @@ the statistical rules are those of drift_check.py and acceptance.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -464,15 +464,15 @@ class CalibrationPolicy:
             state.trouble = replace(state.trouble, tried=True)
         self._apply(t, fit_and_decide(self._task(t, occasion)), occasion)
 
-    def calibrate_by_faces(self, t: float, laid: Pool) -> str:
+    def calibrate_by_faces(self, t: float, laid: Pool, unquestioned: Collection[int]) -> str:
         """Calibrate at t (s) from rests among which are the six faces; return the reason to be told.
 
         Faces show the rotation common to all axes. Bias, scale and cross-axis terms stay as rests have shown
-        them, where rests alone have or do so now. Raises NotSupported where faces are too far from square and
-        level.
+        them, where rests alone have or do so now. unquestioned: faces that may disagree with the others.
+        Raises NotSupported where faces are too far from square and level, or another one disagrees.
         """
         state = self._state
-        faces = calibrate_faces(laid, state.gravity, t, self._settings.calibrate)
+        faces = calibrate_faces(laid, state.gravity, t, self._settings.calibrate, unquestioned)
         if state.degraded or not _is_whole(state.record):
             outcome = fit_and_decide(self._task(t, Occasion.ASKED))
             if outcome.accepted and _is_whole(outcome.record):

@@ -65,7 +65,7 @@ class FaceGuide:
 
     def _calibrate(self, laid: LaidFaces, pool: Pool, t: float) -> None:
         try:
-            reason = self._policy.calibrate_by_faces(t, laid.counted(pool))
+            reason = self._policy.calibrate_by_faces(t, laid.counted(pool), laid.asked_again)
         except NotSupported as refusal:
             self._state.faces = laid.again(refusal, t)
             self._say(t, str(refusal))

@@ -48,7 +48,8 @@ class LaidFaces:
     since: (6,) s, since when each face of FACE_DIRECTIONS is wanted. active_at: s, when the last one was
     laid, or wanted. done: numbers of the faces laid. newest: s, end of the newest rest that counts; last:
     number of the face that it was on, -1 for none. note: what to know of that rest, why faces are wanted
-    again, or how it ended.
+    again, or how it ended. asked_again: numbers of the faces that were wanted again: laid so a second time,
+    they are taken as they lie, for a case need not be flat.
     """
 
     since: tuple[float, ...]
@@ -58,6 +59,7 @@ class LaidFaces:
     newest: float = -math.inf
     last: int = -1
     note: str = ""
+    asked_again: tuple[int, ...] = ()
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -102,7 +104,8 @@ class LaidFaces:
         wanted = named or _FACES
         since = tuple(t if k in wanted else since for k, since in enumerate(self.since))
         done = tuple(k for k in self.done if k not in wanted)
-        return replace(self, since=since, done=done, active_at=t, note=refusal.reason)
+        asked = tuple(sorted({*self.asked_again, *wanted}))
+        return replace(self, since=since, done=done, active_at=t, note=refusal.reason, asked_again=asked)
 
 
 def begun(t: float) -> LaidFaces:

@@ -133,3 +133,20 @@ def test_faces_laid_again_turn_a_calibration_and_leave_what_rests_show_of_it() -
 def test_the_rotation_in_a_scale_is_that_of_its_polar_decomposition() -> None:
     turn = rotation.matrix(rotation.exponential(np.array([[0.01, -0.02, 0.005]])))[0]
     assert common_rotation(turn @ np.diag([1.1, 0.9, 1.0])) == pytest.approx(turn, abs=1e-12)
+
+
+def test_the_odd_one_of_six_faces_is_named_and_faces_laid_alike_are_not() -> None:
+    """By the other five and by what sensors can be; with plain norms, the one opposite looks as odd."""
+    rng = np.random.default_rng(5)
+    named = []
+    for k in range(24):
+        up = tilted(np.radians(0.3), rng)
+        assert fitted(up, rng).odd == []
+        face, axis = k % 6, (k % 6 // 2 + 1 + k // 6 % 2) % 3
+        turn = rotation.matrix(rotation.exponential(np.radians(5.0) * np.eye(3)[axis][None]))[0]
+        up[face] = turn @ FACE_DIRECTIONS[face]
+        (odd,) = fitted(up, rng).odd or [None]
+        named.append(odd is not None and odd.face == face)
+        assert odd is None or np.degrees(odd.tilt) == pytest.approx(5.0, abs=1.5)
+    assert np.mean(named) > 0.9
+    assert not any(fitted(tilted(np.radians(1.0), rng), rng).odd for _ in range(24))
