@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
@@ -167,6 +168,7 @@ def examine(
     direct = [*gone, *([doubled] if doubled else []), *beside_names(nameless, named)]
     slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
+    residuals = about_nonlinearity(residuals)
     stated = [Stated(f) for f in direct]
     searched = [r for r in residuals if search and not _is_of(spoiled, r.sensor)]
     progress(MEASURED)

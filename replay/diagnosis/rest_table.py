@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.segments.merged_rests import merged
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
 from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
 from stillcal.calib_core.errors import NotSupported
@@ -113,7 +114,7 @@ def _variances(rests: Sequence[RestState]) -> Array:
 def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:
     """Return the examination of a table: slow effects only, and no samples."""
     none = Samples.checked(Sensor.ACCELEROMETER, np.empty(0), np.empty((0, 3)))
-    made = scenes(bins, claims.gravity)
+    made = about_nonlinearity(scenes(bins, claims.gravity))
     statements: list[Stated] = []
     for scene in made:
         effects = [e for e in effects_of(scene.sensor) if timed or not follows_time(e.follows)]

@@ -17,6 +17,9 @@ FEWEST_OF_G = 3
 FEWEST_OF_DEGREE = {2: 6, 3: 10}
 """Attitudes that a quadratic, and a cubic beside it, need: one more than affine parameters leave free."""
 
+QUADRATIC, CUBIC = 3e-3, 3e-4
+"""Prior sizes of a nonlinearity, 1/(m/s^2) and 1/(m/s^2)^2: 3 % of the force at 1 g."""
+
 
 def distinct(up: Array, angle: float = 0.2) -> int:
     """Return the number of attitudes further than `angle` (rad) from each other."""
@@ -42,7 +45,7 @@ class ForceNonlinearity(Effect):
 
     def __init__(self, degree: int) -> None:
         self.degree = degree
-        both = (Linear("quadratic", "1/(m/s^2)", 3, 1e-3), Linear("cubic", "1/(m/s^2)^2", 3, 1e-4))
+        both = (Linear("quadratic", "1/(m/s^2)", 3, QUADRATIC), Linear("cubic", "1/(m/s^2)^2", 3, CUBIC))
         self.parameters = both[: degree - 1]
 
     def points(self, moments: Moments) -> Sequence[Grid]:

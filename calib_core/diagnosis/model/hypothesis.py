@@ -23,7 +23,8 @@ class Scene:
 
     turns: the turns between rests that the one view holds, two residuals each; none where the views hold
     rests. covariates: further logged columns by name. shared: what all views see together whatever effect
-    there is (the Earth's rate, of the gyroscope); None for nothing.
+    there is (the Earth's rate, of the gyroscope); None for nothing. sensed: (n, 3) m/s^2, gravity along the
+    sensor's own axes, as their scale and misalignment read it; None where these are the body's.
     """
 
     sensor: str
@@ -34,11 +35,14 @@ class Scene:
     turns: tuple[Turn, ...] = ()
     covariates: Mapping[str, Course] = field(default_factory=dict)
     shared: Hypothesis | None = None
+    sensed: Array | None = None
 
     @cached_property
     def moments(self) -> Moments:
         """The drivers in the bins."""
-        force = None if self.up is None else self.gravity * self.up
+        force = self.sensed
+        if force is None and self.up is not None:
+            force = self.gravity * self.up
         return moments_of(self.bins, force, self.covariates)
 
     @cached_property

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+import numpy as np
+
 from stillcal.calib_core.diagnosis.model import rates
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model.earth import ON_AVERAGE, RATE, ground, shared_rate
@@ -30,10 +32,7 @@ def scenes(
     """
     logged = covariates or {}
     baseline = views.fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    norm = views.norm_view(bins, baseline, gravity)
-    tangent = views.tangent_view(bins, baseline)
-    force_views = (norm,) if tangent is None else (norm, tangent)
-    found = [Scene("accel", bins, force_views, gravity, baseline.up, covariates=logged)]
+    found = [of_force(bins, baseline, gravity, logged)]
     if bins.rate is None or bins.rate_variance is None:
         return found
     motion = rates.tilt_rate(bins, views.tilted(bins.force, baseline.parameters)[0])
@@ -42,3 +41,12 @@ def scenes(
     scene = Scene("gyro", bins, turning, gravity, baseline.up, covariates=logged)
     columns = scene.columns_of(shared_rate(baseline.up, over))
     return [*found, replace(scene, shared=Hypothesis(EARTH, {}, columns))]
+
+
+def of_force(bins: Bins, baseline: views.Baseline, gravity: float, logged: Mapping[str, Course]) -> Scene:
+    """Return the accelerometer's scene about a baseline; logged: further logged columns by name."""
+    norm = views.norm_view(bins, baseline, gravity)
+    tangent = views.tangent_view(bins, baseline)
+    seen = (norm,) if tangent is None else (norm, tangent)
+    sensed = gravity * baseline.up @ np.linalg.inv(baseline.scale).T
+    return Scene("accel", bins, seen, gravity, baseline.up, covariates=logged, sensed=sensed)

@@ -1,0 +1,51 @@
+"""A nonlinearity of the accelerometer that is no small part of the force."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from tests.support.diagnosis import nulls
+
+AXES = np.array([1.0, -0.7, 0.5])
+SEED, RESTS = 1, 40
+
+
+def rests(quadratic: float) -> Bins:
+    """Return an hour of short rests in 20 attitudes. quadratic: 1/(m/s^2), of what each axis reads."""
+    rng = np.random.default_rng(SEED)
+    t = np.arange(3600.0)
+    rest, left = np.divmod(t.astype(int), 3600 // RESTS)
+    up = nulls.random_attitudes(rng, 20)[rest % 20]
+    day = nulls.Day(t, np.where(left < 70, rest, -1), up, np.full(t.size, 25.0), np.zeros(t.size))
+    # The scale that the phone is given is the next that its generator draws.
+    state = rng.bit_generator.state
+    scale = np.eye(3) + rng.normal(0, 0.01, (3, 3))
+    rng.bit_generator.state = state
+    error = quadratic * AXES * (nulls.G * up @ scale.T) ** 2
+    quiet = {sensor: nulls.Wander() for sensor in nulls.WHITE}
+    return nulls.bins_of(rng, day, quiet, accel_error=error)
+
+
+def force_of(bins: Bins) -> Scene:
+    """Return the accelerometer's scene about its nonlinearity."""
+    return about_nonlinearity(scenes(bins, nulls.G))[0]
+
+
+@pytest.mark.parametrize("quadratic", [3e-3, 1e-2])
+def test_a_square_of_a_good_part_of_the_force_has_its_name_and_its_size(quadratic: float) -> None:
+    """3 and 10 % of the force at 1 g: linear in both about none, they were unknown."""
+    (found,) = slow_findings(force_of(rests(quadratic)))
+    assert found.effect == "accel_nonlinearity" and found.axes == ["x", "y", "z"]
+    sizes = np.ravel(found.parameters["quadratic"].value)
+    np.testing.assert_allclose(sizes, quadratic * AXES, rtol=0.01)
+
+
+def test_a_linear_accelerometer_stays_as_it_is() -> None:
+    made = scenes(rests(0.0), nulls.G)
+    assert about_nonlinearity(made)[0] is made[0] and about_nonlinearity(made)[1] is made[1]
