@@ -102,6 +102,11 @@ class Examination:
         return on_limits(self.accelerometer, self.gyroscope, limits)
 
     @property
+    def column_means(self) -> dict[str, float]:
+        """The means at rest of further logged columns."""
+        return self.scenes[0].column_means if self.scenes else {}
+
+    @property
     def is_table(self) -> bool:
         """Whether it is a table of rests, which has no samples."""
         return len(self.accelerometer) == 0

@@ -38,7 +38,7 @@ from stillcal.replay.diagnosis.residuals import residuals_csv
 from stillcal.replay.diagnosis.rest_table import diagnose_kept, diagnose_rests
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
-from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.formats.covariates import columns_there, read_covariates
 from stillcal.replay.formats.daemon_state import is_daemon_state
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Recording
@@ -140,7 +140,8 @@ class _Asked(NamedTuple):
     "covariates",
     multiple=True,
     metavar="NAME",
-    help="A further column of TRACE (CSV) that a bias may follow; may be given several times.",
+    help="A further column of TRACE (CSV), and of SIM where it has it, that a bias may follow; may be given"
+    " several times.",
 )
 @reading_options()
 @quiet_option
@@ -315,6 +316,8 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     simulated = None
     if asked.simulated is not None:
         simulated = _read_simulation(asked, asked.simulated, show_stage, whole=whole)
+        logged = columns_there(asked.simulated, asked.covariates)
+        simulated = replace(simulated, covariates=read_covariates(asked.simulated, logged) if logged else {})
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else Path(asked.phone).name

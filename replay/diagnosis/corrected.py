@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, covariate_effects
 from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
@@ -288,13 +289,14 @@ def _limit(one: Discrepancy) -> float | None:
 def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> Array | None:
     """Return the response of an effect of the catalogue to the differing parameters; None without drivers."""
     recorded = difference.recorded
-    names = tuple(part.name for part in recorded.parts)
-    for effect in (*named_effects(), Arm()):
+    names, grid = tuple(part.name for part in recorded.parts), dict(recorded.reference)
+    for effect in (*named_effects(), *drivers.of_columns(recorded.sensor), Arm()):
         own = (effect.name, effect.sensor, tuple(p.name for p in effect.parameters))
         if own != (recorded.effect, recorded.sensor, names):
             continue
-        grid = dict(recorded.reference)
-        moments = drivers.at(samples, grid.get("temperature_c"))
+        if isinstance(effect, CovariateBias) and bool(effect.grid_units) != ("tau_s" in grid):
+            continue
+        moments = drivers.at(samples, grid)
         if not effect.can_play(moments, grid):
             return None
         return np.asarray(effect.response(moments, grid) @ difference.value)
@@ -335,20 +337,31 @@ class _Drivers:
         fitted = fit_baseline(self.bins.force, self.bins.force_variance, self.bins.rest, gravity)
         return fitted.scale, fitted.bias
 
-    def at(self, samples: Samples, reference_c: float | None) -> Moments:
-        """Return the drivers at a sensor's samples. reference_c: degC from which temperatures count."""
+    def of_columns(self, sensor: str) -> list[CovariateBias]:
+        """Return the effects that follow further logged columns."""
+        return [e for name in self.simulation.covariates for e in covariate_effects(sensor, name, 1.0)]
+
+    def at(self, samples: Samples, about: Mapping[str, float]) -> Moments:
+        """Return the drivers at a sensor's samples.
+
+        about: the values that drivers count from, of temperature as `temperature_c`, of columns by name.
+        """
         accel, gyro, plugs = self.simulation.accelerometer, self.simulation.gyroscope, self.plugs
         states = np.array([0.0, *(float(e.on) for e in plugs)])
         warm = temperature_at(accel, samples.t)
-        reference = reference_c
+        reference = about.get("temperature_c")
         if warm is not None:
             reference = float(warm.mean()) if reference is None else reference
             warm = np.asarray(warm - reference)
+        columns = {
+            name: replace(course, values=course.values - about.get(name, 0.0))
+            for name, course in self.simulation.covariates.items()
+        }
         span = (float(samples.t[0]), float(samples.t[-1]))
         switches = np.array([[e.t, float(e.on)] for e in plugs]) if plugs else None
         made = at_samples(
             samples.t,
-            History(span, self.activity, switches, reference),
+            History(span, self.activity, switches, reference, columns),
             (accel, gyro),
             warm,
             states[np.searchsorted([e.t for e in plugs], samples.t, side="right")] if plugs else None,

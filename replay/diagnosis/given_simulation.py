@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.assumed_temperature import course_over
+from stillcal.calib_core.diagnosis.comparison.assumed_drivers import columns_over, course_over
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.covariate import driver_of
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
@@ -59,8 +60,7 @@ def judge_examined(
     answer = answered(before, None, recorded, simulated, names)
     if not before.discrepancies:
         return Judged(recording, recorded, simulated, before, None, None, answer)
-    if any(d.note for d in before.discrepancies):
-        simulation = _warmed(simulation, recorded.bins)
+    simulation = _driven(simulation, recording, recorded.bins, before)
     made = _added(recording, simulation, before) if again is None else again(before, answer)
     measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
     if again is None:
@@ -92,6 +92,21 @@ def _added(recording: Recording, simulation: Recording, before: Comparison) -> C
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
     return correct(simulation, before.discrepancies, biases, span=span_of(recording.accelerometer))
+
+
+def _driven(simulation: Recording, recording: Recording, bins: Bins, before: Comparison) -> Recording:
+    """Return a simulation with what was assumed to drive effects in it, stretched to it.
+
+    bins: the recording's, whose temperature it is.
+    """
+    drivers = {d.where.driver for d in before.discrepancies if d.note}
+    if any("temperature" in driver for driver in drivers):
+        simulation = _warmed(simulation, bins)
+    assumed = {n: c for n, c in recording.covariates.items() if driver_of(n) in drivers}
+    if not assumed:
+        return simulation
+    columns = columns_over(assumed, bins.span, span_of(simulation.accelerometer))
+    return replace(simulation, covariates={**simulation.covariates, **columns})
 
 
 def _warmed(simulation: Recording, recorded: Bins) -> Recording:

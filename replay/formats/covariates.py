@@ -35,6 +35,18 @@ def read_covariates(path: Path, names: Sequence[str]) -> dict[str, Course]:
         ) from error
 
 
+def columns_there(path: Path, names: Sequence[str]) -> list[str]:
+    """Return the names that a recording has as columns: none where it is no CSV."""
+    if not path.is_file():
+        return []
+    try:
+        with _opened(path) as lines:
+            header = {cell.strip() for cell in next(csv.reader(lines), [])}
+    except (OSError, UnicodeDecodeError, csv.Error, EOFError):
+        return []
+    return [name for name in names if name in header]
+
+
 def _opened(path: Path) -> TextIO:
     return gzip.open(path, "rt", newline="") if path.suffix == ".gz" else path.open(newline="")
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison import noise, not_logged
-from stillcal.calib_core.diagnosis.comparison.assumed_temperature import excluded, of_any_course, warmed
+from stillcal.calib_core.diagnosis.comparison.assumed_drivers import driven, excluded, of_any_course
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.linear import (
     SHIFTED,
@@ -43,6 +43,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrep
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
 from stillcal.calib_core.diagnosis.comparison.stated import concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import Finding
@@ -65,11 +66,11 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     wanted, unlogged = _union(*had), not_logged.not_logged(exams, had, names)
     steady = excluded(exams, wanted, unlogged[1])
     unlogged = unlogged[0], [m for m in unlogged[1] if m not in steady]
-    measured = (recorded, warmed(simulated, recorded.bins) if steady else simulated)
+    measured = (recorded, driven(simulated, recorded, steady))
     asked = _without(wanted, unlogged[1])
     sides = _sides(measured, (wanted, asked), unlogged)
     if steady:
-        sides[1] = of_any_course(measured[1], asked, sides[1])
+        sides[1] = of_any_course(measured[1], asked, steady, sides[1])
     pairs, missing = _paired(exams, sides, wanted, names)
     looked = [_looked_for(exam) for exam in exams]
     reasons = [one.reasons for one in looked]
@@ -103,12 +104,14 @@ def _without(wanted: Sequence[Wanted], missing: Sequence[NotLogged]) -> list[Wan
 
 
 def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, str]) -> str:
-    """Say of an effect of temperature that the simulation logged none; "" of any other difference."""
-    if (found.effect, found.sensor) not in {(m.effect.name, m.effect.sensor) for m in steady}:
+    """Say of an effect that the simulation did not log what drives it; "" of any other difference."""
+    own = [m for m in steady if (m.effect.name, m.effect.sensor) == (found.effect, found.sensor)]
+    if not own:
         return ""
+    driver = own[0].effect.column if isinstance(own[0].effect, CovariateBias) else "temperature"
     return (
-        f"The temperature of {names[1]} is not known: it was judged as if it had changed as that of"
-        f" {names[0]} did, and shows no such change. Simulated at one temperature, it may have this all the"
+        f"The {driver} of {names[1]} is not known: it was judged as if it had changed as that of"
+        f" {names[0]} did, and shows no such change. Simulated at one {driver}, it may have this all the"
         " same."
     )
 
@@ -152,9 +155,10 @@ def _sides(
     steady = hidden_shifts(exams[1], wanted[1])
     reference = _reference_temperature(exams[0].bins, exams[1].bins, steady)
     asked = list(zip(exams, wanted, strict=True))
-    sides = [_quantities(exam, own, reference) for exam, own in asked]
+    about = exams[0].column_means
+    sides = [_quantities(exam, own, reference, about) for exam, own in asked]
     for sensor, at in crossing_temperatures(sides, reference).items():
-        crossed = [linear_quantities(exam, own, reference | {sensor: at}) for exam, own in asked]
+        crossed = [linear_quantities(exam, own, reference | {sensor: at}, about) for exam, own in asked]
         if all(_agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
             sides = [
                 side | {key: q for key, q in at_crossing.items() if key[1] == sensor}
@@ -265,10 +269,13 @@ def _reference_temperature(recorded: Bins, simulated: Bins, steady: Collection[s
 
 
 def _quantities(
-    exam: Examination, wanted: Sequence[Wanted], reference_c: Mapping[str, float]
+    exam: Examination,
+    wanted: Sequence[Wanted],
+    reference_c: Mapping[str, float],
+    about: Mapping[str, float],
 ) -> dict[Key, Quantity]:
     """Return all that one recording shows, by effect and sensor."""
-    out = linear_quantities(exam, wanted, reference_c) | noise.densities(exam)
+    out = linear_quantities(exam, wanted, reference_c, about) | noise.densities(exam)
     for scene in exam.scenes:
         if len(scene.bins) < thresholds.LEAST_BINS:
             continue

@@ -19,6 +19,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear, on_axes
@@ -113,24 +114,33 @@ def kind_of(scene: Scene) -> str:
 
 
 def linear_quantities(
-    exam: Examination, wanted: Sequence[Wanted], reference_c: Mapping[str, float]
+    exam: Examination,
+    wanted: Sequence[Wanted],
+    reference_c: Mapping[str, float],
+    about: Mapping[str, float] | None = None,
 ) -> dict[tuple[str, str], Quantity]:
     """Measure the constants and the wanted effects; by effect and sensor.
 
-    reference_c: by sensor, degC at which bias and scale are stated where they follow temperature. An effect
-    is missing where the recording lacks what drives it, all of them where it has too few static bins.
+    reference_c: by sensor, degC at which bias and scale are stated where they follow temperature. about: by
+    column, the value at which the bias is stated where it follows that; the recording's own mean where it has
+    none. An effect is missing where the recording lacks what drives it, all of them where it has too few
+    static bins.
     """
     out: dict[tuple[str, str], Quantity] = {}
     for scene in exam.every_scene:
         if len(scene.bins) >= thresholds.LEAST_BINS:
             own = [w for w in wanted if w.kind == kind_of(scene)]
-            for quantity in _fitted(exam, scene, own, reference_c.get(scene.sensor)):
+            for quantity in _fitted(exam, scene, own, reference_c.get(scene.sensor), about or {}):
                 out[quantity.effect, quantity.sensor] = quantity
     return out
 
 
 def _fitted(
-    exam: Examination, scene: Scene, wanted: Sequence[Wanted], reference_c: float | None
+    exam: Examination,
+    scene: Scene,
+    wanted: Sequence[Wanted],
+    reference_c: float | None,
+    about: Mapping[str, float],
 ) -> list[Quantity]:
     kind = kind_of(scene)
     free = replace(scene, views=tuple(_freed(v, scene.gravity) for v in scene.views))
@@ -142,7 +152,7 @@ def _fitted(
     count = int(parts[-1][-1]) + 1
     sizes = whole.sizes[:count]
     value, covariance = fit.beta[:count] * sizes, fit.covariance[:count, :count] * np.outer(sizes, sizes)
-    turned = _at_reference(scene, hypotheses, parts, reference_c)
+    turned = _at_reference(scene, hypotheses, parts, reference_c, about)
     roughly = np.zeros(count)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
         roughly[rows] = _model_error(hypothesis, value[rows])
@@ -153,6 +163,9 @@ def _fitted(
         effect = effect_quantity(scene.bins.span, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
         if reference_c is not None and hypothesis.effect.name in SHIFTED:
             effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
+        if isinstance(column := hypothesis.effect, CovariateBias):
+            at = about.get(column.column, scene.column_means[column.column])
+            effect = replace(effect, reference=dict(effect.reference) | {column.column: at})
         out.append(effect)
     return out
 
@@ -247,9 +260,12 @@ def _of_constants(view: View) -> Array:
     return np.asarray(-(view.absorbed @ PRIOR)[None])
 
 
+BIAS_SHIFTED = ((0, 1, 2), 1.0)
+"""What an effect on the bias moves by, as in `SHIFTED`."""
+
 SHIFTED = {
-    "accel_bias_temperature": ((0, 1, 2), 1.0),
-    "gyro_bias_temperature": ((0, 1, 2), 1.0),
+    "accel_bias_temperature": BIAS_SHIFTED,
+    "gyro_bias_temperature": BIAS_SHIFTED,
     "accel_scale_temperature": ((3, 4, 5), -1.0),
     "gyro_scale_temperature": ((0, 4, 8), 1.0),
 }
@@ -278,24 +294,33 @@ def _at_reference(
     hypotheses: Sequence[Hypothesis],
     parts: Sequence[NDArray[np.int64]],
     reference_c: float | None,
+    about: Mapping[str, float],
 ) -> Array:
-    """Return the matrix that takes constants and polynomials about the mean temperature to the reference.
+    """Return the matrix that takes constants and polynomials about a driver's mean to the reference.
 
-    About T + w a polynomial sum c_p x^p has the coefficients sum over p of binomial(p, q) w^(p - q) c_p.
+    About x + w a polynomial sum c_p x^p has the coefficients sum over p of binomial(p, q) w^(p - q) c_p.
     """
     matrix = np.eye(int(parts[-1][-1]) + 1)
-    if reference_c is None or scene.bins.temperature is None:
-        return matrix
-    warmer = reference_c - float(scene.bins.temperature.mean())
     for hypothesis, rows in zip(hypotheses, parts, strict=True):
-        if hypothesis.effect.name in SHIFTED:
-            moved, sign = SHIFTED[hypothesis.effect.name]
+        more = _above_mean(scene, hypothesis.effect, reference_c, about)
+        if more:
+            moved, sign = SHIFTED.get(hypothesis.effect.name, BIAS_SHIFTED)
             powers = rows.reshape(-1, 3)
             for p, of in enumerate(powers, start=1):
-                matrix[moved, of] += sign * warmer**p
+                matrix[moved, of] += sign * more**p
                 for q in range(1, p):
-                    matrix[powers[q - 1], of] += comb(p, q) * warmer ** (p - q)
+                    matrix[powers[q - 1], of] += comb(p, q) * more ** (p - q)
     return matrix
+
+
+def _above_mean(scene: Scene, effect: Effect, reference_c: float | None, about: Mapping[str, float]) -> float:
+    """Return by how much the reference of an effect's driver is above its mean; 0 where it has none."""
+    if isinstance(effect, CovariateBias):
+        own = scene.column_means[effect.column]
+        return about.get(effect.column, own) - own
+    if effect.name not in SHIFTED or reference_c is None or scene.bins.temperature is None:
+        return 0.0
+    return reference_c - float(scene.bins.temperature.mean())
 
 
 def _constant_quantities(

@@ -28,7 +28,7 @@ class CovariateBias(PolynomialBias):
     decides = "let it rise and fall several times while temperature stays the same"
 
     def __init__(self, sensor: str, column: str, spread: float, degree: int = 1) -> None:
-        self.column, self.follows = column, f"the column {column}"
+        self.column, self.follows = column, driver_of(column)
         self.kind = kind_of_column(column)
         self.says, self.called_as = f"changes with {column}", f"change of {{bias}} with {column}"
         unit = f"unit of {column}"
@@ -79,6 +79,11 @@ class LaggedCovariateBias(CovariateBias):
     def course(self, moments: Moments, grid: Grid) -> Course:
         """Return the column behind its lag, in its own unit."""
         return first_order(moments.history.columns[self.column], grid["tau_s"])
+
+
+def driver_of(column: str) -> str:
+    """Return what an effect of a column follows, in words."""
+    return f"the column {column}"
 
 
 def kind_of_column(column: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear
-from stillcal.calib_core.diagnosis.model.moments import Moments, moments_of, turning
+from stillcal.calib_core.diagnosis.model.moments import Moments, mean_in, moments_of, turning
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Turn
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -44,6 +44,11 @@ class Scene:
         if force is None and self.up is not None:
             force = self.gravity * self.up
         return moments_of(self.bins, force, self.covariates)
+
+    @cached_property
+    def column_means(self) -> dict[str, float]:
+        """The means of further logged columns in the bins, from which they count."""
+        return {name: mean_in(course, self.bins) for name, course in self.covariates.items()}
 
     @cached_property
     def turning(self) -> list[Moments]:

@@ -12,7 +12,7 @@ import msgspec
 
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
-from stillcal.replay.diagnosis.corrected import Corrected
+from stillcal.replay.diagnosis.corrected import Corrected, with_known
 from stillcal.replay.diagnosis.given_simulation import judge_examined
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent
 from stillcal.replay.diagnosis.phone.case import case_of
@@ -27,7 +27,8 @@ def judge_phone(
 ) -> Judged:
     """Compare a recording with a phone. Raises NotSupported on too little data.
 
-    The corrected simulation is the phone that `--fix-for phone` writes, played again.
+    The corrected simulation is the phone that `--fix-for phone` writes, played again, with the effects that
+    no phone file can have put into its samples.
     """
     recorded = examined(recording, show_stage)
     case = case_of(recording, recorded, compare_with_ideal(recorded))
@@ -42,7 +43,9 @@ def judge_phone(
 
     def again(_before: Comparison, answer: dict[str, Any]) -> Corrected:
         fixed = fixed_for("phone", dump_phone(phone), answer)
-        return Corrected(played(phone_from(fixed.text)), fixed.left_out)
+        beside = {known.effect.name for known in case.beside}
+        left_out = [effect for effect in fixed.left_out if effect not in beside]
+        return Corrected(with_known(played(phone_from(fixed.text)), case.beside), left_out)
 
     simulation = played(phone)
     simulated = examined(simulation, show_stage)

@@ -6,6 +6,7 @@ import csv
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.export.imu import noise_of
 from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.phone.phone import load_phone
 
 RATE_HZ = 20.0
@@ -94,6 +99,43 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     gyro = load_phone(str(better)).gyro
     assert gyro is not None
     assert noise_of(gyro).slow_deviation().max() < 0.1 * SLOPE * VOLTS
+
+
+def examined_with(path: Path, column: bool = True) -> Examination:
+    """Return the examination of a log, with its column or without."""
+    recording = open_trace(path).recording(path.name)
+    logged = read_covariates(path, ["battery_v"]) if column else {}
+    return examined(replace(recording, covariates=logged))
+
+
+@pytest.fixture(scope="module")
+def recorded(log: Path) -> Examination:
+    return examined_with(log)
+
+
+@pytest.mark.parametrize(
+    ("part", "column", "relation"),
+    [(0.4, True, "too_small"), (0.0, True, "lacking"), (0.0, False, "lacking")],
+)
+def test_a_simulation_is_told_how_much_of_the_effect_it_lacks(
+    recorded: Examination, tmp_path: Path, part: float, column: bool, relation: str
+) -> None:
+    """Another course of the voltage, about another mean; and none, where the bias is steady."""
+    rng = np.random.default_rng(6)
+    t, ups, which, moving = attitudes(rng)
+    volts = 4.1 + VOLTS * np.cos(t / 130.0)
+    force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
+    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
+    rate[:, 2] += part * SLOPE * (volts - 3.8)
+    path = tmp_path / "sim.csv"
+    write(path, t, force, rate, {"battery_v": np.round(volts, 5)} if column else {})
+    found = compare(recorded, examined_with(path, column), ("log.csv", "sim.csv"))
+    (one,) = found.discrepancies
+    assert (one.effect, one.relation) == ("gyro_bias_battery_v", relation)
+    assert one.difference is not None
+    assert one.difference.value[2] == pytest.approx((1.0 - part) * SLOPE, rel=0.15)
+    assert ("The battery_v of sim.csv is not known" in one.note) is not column
+    assert one.difference.recorded.reference["battery_v"] == pytest.approx(3.8, abs=0.2)
 
 
 def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.assumed_temperature import warmed
+from stillcal.calib_core.diagnosis.comparison.assumed_drivers import warmed
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Quantity

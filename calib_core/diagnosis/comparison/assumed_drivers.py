@@ -1,13 +1,13 @@
-"""A simulation without a thermometer, judged as if its temperature had changed as the recording's did.
+"""A simulation without a thermometer or a column, judged as if either had changed as the recording's did.
 
 A bias or a scale that is steady over all of a simulation does not follow temperature, whatever course that
 took. At one temperature any is steady, which is said with the finding. One that changes may follow it, and
-then nothing is said.
+then nothing is said. The same holds for a further logged column.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, lin
 from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -45,6 +46,35 @@ def warmed(simulated: Examination, recorded: Bins) -> Examination:
     return replace(simulated, bins=bins, scenes=scenes, turns=turns)
 
 
+def columns_over(
+    courses: Mapping[str, Course], own: tuple[float, float], span: tuple[float, float]
+) -> dict[str, Course]:
+    """Return logged columns of a recording of one span, s, stretched to another's."""
+    return {name: replace(c, t=np.interp(c.t, own, span)) for name, c in courses.items()}
+
+
+def columns_of(missing: Iterable[NotLogged]) -> set[str]:
+    """Return the columns that drive effects."""
+    return {m.effect.column for m in missing if isinstance(m.effect, CovariateBias)}
+
+
+def driven(simulated: Examination, recorded: Examination, missing: Sequence[NotLogged]) -> Examination:
+    """Return a simulation's examination with what drives the missing effects, as the recording logged it."""
+    made = simulated
+    if any(_of_temperature(m) for m in missing):
+        made = warmed(made, recorded.bins)
+    names = columns_of(missing)
+    if not names:
+        return made
+    logged = {name: recorded.scenes[0].covariates[name] for name in names}
+    added = columns_over(logged, recorded.bins.span, simulated.bins.span)
+    return replace(made, scenes=[replace(s, covariates={**s.covariates, **added}) for s in made.scenes])
+
+
+def _of_temperature(missing: NotLogged) -> bool:
+    return "temperature" in missing.effect.follows
+
+
 def _warmed(bins: Bins, course: Course) -> Bins:
     return replace(bins, temperature=course.mean(bins.t, bins.duration))
 
@@ -52,22 +82,22 @@ def _warmed(bins: Bins, course: Course) -> Bins:
 def excluded(
     exams: tuple[Examination, Examination], wanted: Sequence[Wanted], missing: Sequence[NotLogged]
 ) -> list[NotLogged]:
-    """Return which effects of temperature a simulation does not have, though it logged no temperature.
+    """Return which effects of temperature or a column a simulation does not have, though it logged none.
 
     missing: the effects that the recording was found to have and whose driver the simulation did not log. Of
-    these it has none where it shows none, could have a small part of it at most, whatever its temperature
-    was, and shows nothing else that may be it.
+    these it has none where it shows none, could have a small part of it at most, whatever course its driver
+    took, and shows nothing else that may be it.
     """
-    of_temperature = [m for m in missing if "temperature" in m.effect.follows]
+    assumed = [m for m in missing if _of_temperature(m) or isinstance(m.effect, CovariateBias)]
     recorded, simulated = exams
-    if not of_temperature or not len(simulated.bins):
+    if not assumed or not len(simulated.bins):
         return []
-    warm = warmed(simulated, recorded.bins)
-    had, shown = (linear_quantities(exam, wanted, {}) for exam in (recorded, warm))
-    most = _largest(warm, wanted)
+    made = driven(simulated, recorded, assumed)
+    had, shown = (linear_quantities(exam, wanted, {}) for exam in (recorded, made))
+    most = _largest(made, wanted, assumed)
     return [
         m
-        for m in of_temperature
+        for m in assumed
         if (key := (m.effect.name, m.effect.sensor)) in had
         and key in shown
         and not shown[key].shows()
@@ -77,31 +107,37 @@ def excluded(
 
 
 def of_any_course(
-    simulated: Examination, wanted: Sequence[Wanted], side: Mapping[Key, Quantity]
+    simulated: Examination,
+    wanted: Sequence[Wanted],
+    missing: Sequence[NotLogged],
+    side: Mapping[Key, Quantity],
 ) -> dict[Key, Quantity]:
-    """Return what a simulation shows, effects of temperature with an error that holds for any course of it.
+    """Return what a simulation shows, the missing effects with an error for any course of their driver.
 
     Any size up to the largest is as likely.
     """
-    most = _largest(simulated, wanted)
+    most = _largest(simulated, wanted, missing)
     return {
         key: replace(one, covariance=one.covariance + np.diag(most[key] ** 2 / 3.0)) if key in most else one
         for key, one in side.items()
     }
 
 
-def _largest(simulated: Examination, wanted: Sequence[Wanted]) -> dict[Key, Array]:
-    """Return the largest size (k,) of each number of an effect of temperature, whatever the temperature was.
+def _largest(
+    simulated: Examination, wanted: Sequence[Wanted], missing: Sequence[NotLogged]
+) -> dict[Key, Array]:
+    """Return the largest size (k,) of each number of a missing effect, whatever course its driver took.
 
     An effect of some size leaves residuals as large as it is. What there is of them beyond white noise is the
     largest size that it may have.
     """
+    keys = {(m.effect.name, m.effect.sensor) for m in missing}
     out: dict[Key, Array] = {}
     for scene in simulated.every_scene:
         for one in wanted:
             effect = one.hypothesis.effect
             hypothesis = proposed(scene, one) if one.kind == kind_of(scene) else None
-            if hypothesis is not None and "temperature" in effect.follows:
+            if hypothesis is not None and (effect.name, effect.sensor) in keys:
                 sizes = [_most(scene, i, hypothesis) for i in _lengthwise(scene)]
                 out[effect.name, effect.sensor] = np.max(sizes, axis=0)
     return out

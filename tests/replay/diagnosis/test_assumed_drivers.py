@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.assumed_temperature import excluded
+from stillcal.calib_core.diagnosis.comparison.assumed_drivers import excluded
 from stillcal.calib_core.diagnosis.comparison.linear import wanted_of
 from stillcal.calib_core.diagnosis.comparison.not_logged import not_logged
 from stillcal.calib_core.diagnosis.diagnose import Examination
