@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.clocks import MOST_LATE
 from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     compare_in_pair,
@@ -21,11 +22,15 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, Mounting, mounting
 from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
+from stillcal.calib_core.diagnosis.comparison.pair.vote import voted
+from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
+from stillcal.replay.diagnosis.owners import owners_of, tell_owners
 from stillcal.replay.diagnosis.paired import AGAIN, READINGS, less, mean_readings, readings_of, refuse_itself
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.units import plain
@@ -79,8 +84,8 @@ def judge_with_witnesses(
     """Judge a recording against the built-in simulation, slow effects by what other sensors read beside it.
 
     How a witness is mounted, what its clock says, and its own bias and scale, do not matter. Of several the
-    mean is taken. Raises UserError where they were not there at the same time or not on the same body,
-    NotSupported on too little data.
+    mean is taken, and they vote whose an effect is. Raises UserError where they were not there at the same
+    time or not on the same body, NotSupported on too little data.
     """
     refuse_itself(recording, witnesses)
     _while_there(recording, witnesses)
@@ -93,15 +98,39 @@ def judge_with_witnesses(
     bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), MISMATCH)
     stated = recorded.statements
     exam = examined_in_pair(recorded, bins, scenes, stated, lambda done: show_stage(READINGS, done))
-    before = compare_in_pair(exam)
+    found = compare_in_pair(exam)
+    owned = owners_of(exam, found, stated, [recording, *others], partial(_differing, recording, others))
+    before = voted(found, [(one.discrepancy, one.own) for one in owned])
     fit = Fit.of(before, before)
     if before.discrepancies:
         show_stage(AGAIN, 0.0)
-        after = without_found(exam, before, stated)
-        fit = Fit.of(before, after, without_equation(before))
+        fit = Fit.of(before, without_found(exam, found, stated), without_equation(before))
     answer = answer_of(before, (recording.name, BUILT_IN), fit, {}, exam.bins.temperature)
-    answer["witnesses"] = [one.plain() for one in beside]
+    tell_owners(answer, before, owned)
+    told = [one.plain() for one in beside]
+    for k, one in enumerate(told, start=1):
+        one["findings"] = [each.of_witness() for each in owned if each.owner == k]
+    answer["witnesses"] = told
     return Judged(recording, exam, None, before, None, None, answer)
+
+
+def _differing(recording: Recording, others: Sequence[Recording], k: int) -> list[Scene]:
+    """Return the scenes of one recording less the mean of the rest; k: 0 for the recording, then the others.
+
+    All are cut at the recording's stamps, and have its temperature.
+    """
+    every = [readings_of(recording), *(mean_readings(recording, [one]) for one in others)]
+    rest = [one for i, one in enumerate(every) if i != k]
+    rates = [one.rate for one in rest if one.rate is not None]
+    true = Readings(_mean([one.force for one in rest]), _mean(rates) if rates else None)
+    own = replace(recording, accelerometer=every[k].force, gyroscope=every[k].rate)
+    warm = recording.accelerometer.temperature
+    own = replace(own, accelerometer=replace(own.accelerometer, temperature=warm))
+    return pair_scenes(less(own, true), true, charging_events(recording), MISMATCH)[1]
+
+
+def _mean(every: Sequence[Samples]) -> Samples:
+    return replace(every[0], xyz=frozen(np.mean([one.xyz for one in every], axis=0)))
 
 
 def _aligned(recording: Recording, witness: Recording) -> Witness:

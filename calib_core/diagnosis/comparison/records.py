@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, Relation
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, Relation
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 
@@ -106,7 +106,7 @@ class Comparison:
             return "not_judged"
         if not self.discrepancies:
             return "match"
-        names = [d.effect != "unknown" for d in self.discrepancies]
+        names = [d.effect != "unknown" and d.probability >= CERTAIN for d in self.discrepancies]
         if all(names) and p_after is not None and p_after >= LEVEL:
             return "identified"
         return "partly_identified" if any(names) else "unidentified"

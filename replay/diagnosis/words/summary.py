@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN
 from stillcal.calib_core.diagnosis.comparison.records import LEVEL
 from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
@@ -21,6 +22,7 @@ VERDICTS = {
     "not_judged": "Not judged: too few of the checks could be made",
 }
 NAMED_ONLY = "Differences found and named, but the corrected simulation does not fit"
+NOT_WHOSE = "Differences found, not all of them surely the recording's"
 
 LINES = 14
 """Longest summary; it is to be read at a glance."""
@@ -32,6 +34,8 @@ def headline(answer: Mapping[str, Any]) -> str:
     named = all(f["effect"] != "unknown" for f in answer["findings"])
     if answer["verdict"] == "partly_identified" and named and "p_after" in answer["fit"]:
         text = NAMED_ONLY
+    if any("owners" in f and f["probability"] < CERTAIN for f in answer["findings"]):
+        text = NOT_WHOSE
     checks = f"{made} of {of} checks possible"
     return f"{text} ({checks})"
 
@@ -86,7 +90,8 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
         f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
     ]
     out += [f"  {text}" for text in [outcome(answer)] if text]
-    out += [f"  witness: {one['note']}" for one in answer.get("witnesses", [])]
+    witnesses = answer.get("witnesses", [])
+    out += [f"  witness: {told['note']}" for one in witnesses for told in (*one["findings"], one)]
     agreed = ", ".join(_with_frequency(a) for a in answer["agreed"] if "note" not in a)
     if agreed:
         out.append(f"  agreed: {agreed}")

@@ -21,6 +21,7 @@ from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.paired import judge_paired, less, mean_readings
 from stillcal.replay.diagnosis.witnesses import MISMATCH, judge_with_witnesses
+from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording, read_all
 from tests.support.diagnosis import turned_pairs
@@ -270,14 +271,19 @@ def test_a_short_pair_is_too_little_data() -> None:
 
 @pytest.mark.slow
 def test_how_a_witness_is_mounted_is_no_finding() -> None:
-    """Its bias and scale are its own; what changes with the recording's temperature is the recording's."""
+    """Its bias and scale are its own. What changes with the temperature of both may be of either."""
     witness = recording(2, name="witness.csv", bias=np.array([0.3, 0.0, 0.1]))
     turned = frozen(
         witness.accelerometer.xyz @ np.array([[1.0, 0.02, 0.0], [-0.02, 1.01, 0.0], [0.0, 0.0, 1.0]])
     )
     witness = replace(witness, accelerometer=replace(witness.accelerometer, xyz=turned))
     said = judge_with_witnesses(recording(1, slope=SLOPE), [witness]).answer
-    assert {f["effect"] for f in said["findings"]} == {"gyro_bias_temperature"}
+    (told,) = said["findings"]
+    assert told["effect"] == "gyro_bias_temperature"
+    assert told["probability"] == pytest.approx(0.5, abs=1e-3) and said["fit"]["p_before"] > 0.1
+    assert told["owners"] == {"real.csv": pytest.approx(0.5), "witness.csv": pytest.approx(0.5)}
+    assert told["statement"].startswith("Of real.csv or witness.csv, which these sensors do not decide: ")
+    assert "not all of them surely the recording's" in summary(said)[0]
 
 
 def test_a_witness_of_another_time_is_refused() -> None:

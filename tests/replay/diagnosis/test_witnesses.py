@@ -36,6 +36,26 @@ def test_how_a_witness_is_turned_and_what_its_clock_says_is_told_and_no_finding(
     assert any("other.csv is turned by 3" in line for line in summary(said))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("owner", [0, 1])
+def test_what_one_of_three_sensors_shows_is_told_as_its_own(owner: int) -> None:
+    drift, brief = np.array([6e-3, 0.0, -3e-3]), 240.0
+    own, other = (drift if owner == k else None for k in range(2))
+    witnesses = [
+        sensor(2, "one.csv", turned=OBLIQUE, late=0.13, ppm=200.0, drift=other, length=brief),
+        sensor(3, "two.csv", turned=OBLIQUE.inv(), length=brief),
+    ]
+    said = judge_with_witnesses(sensor(1, drift=own, length=brief), witnesses).answer
+    found, notes = said["findings"], [one["findings"] for one in said["witnesses"]]
+    if owner == 0:
+        assert found and {f["sensor"] for f in found} == {"gyro"} and notes == [[], []]
+        assert all(f["owners"]["real.csv"] > 0.95 and f["probability"] > 0.95 for f in found)
+    else:
+        assert (said["verdict"], found, notes[1]) == ("match", [], [])
+        assert {f["sensor"] for f in notes[0]} == {"gyro"}
+        assert any("it is one.csv's" in line for line in summary(said))
+
+
 def test_a_witness_on_another_body_is_refused() -> None:
     with pytest.raises(UserError, match=r"^other\.csv: was not on the same body as real\.csv") as refusal:
         judge_with_witnesses(sensor(1), [sensor(2, "other.csv", body=Body(5))])
