@@ -107,7 +107,7 @@ def _common(xyz: Array, declared: float | None) -> dict[int, Limit]:
 
 def _limit(values: Array, noise: float, least: float) -> Limit | None:
     """Return the limit of one axis, of values clipped after their noise or before it."""
-    return _hard_stop(values, noise) or _flat_top(values, noise, least)
+    return _hard_stop(values, noise) or _stays(values, noise) or _flat_top(values, noise, least)
 
 
 def _hard_stop(values: Array, noise: float) -> Limit | None:
@@ -135,6 +135,36 @@ def _hard_stop(values: Array, noise: float) -> Limit | None:
         if on.sum() >= 5.0 * (under.size * share + 1.0):
             found.append(abs(top))
             nats += of_counts(float(visits), float(visits + under.size), min(share, 0.5))
+    if not found:
+        return None
+    return Limit(max(found), max(step / np.sqrt(12.0), 1e-6 * max(found)), nats)
+
+
+def _stays(values: Array, noise: float) -> Limit | None:
+    """Return where values stay on the very largest one, of either sign, in every visit, as nowhere else.
+
+    However fast they come there and go, so that few lie just below it. Each sample that stays has the chance
+    with which values repeat the one before elsewhere, or with which noise at rest takes its likeliest step.
+    Six limits, of three axes and two signs, were tried.
+    """
+    step = comb_step(values) or 0.0
+    if step > noise:
+        return None
+    found, nats = [], 0.0
+    for signed in (values, -values):
+        top = float(signed.max())
+        on = signed >= top - max(1e-6 * abs(top), 0.1 * step)
+        stays = int((on[1:] & on[:-1]).sum())
+        visits = int(on.sum()) - stays
+        if visits < LEAST_VISITS or stays < visits:
+            continue
+        elsewhere = ~on[1:]
+        repeats = int((np.diff(signed)[elsewhere] == 0.0).sum())
+        chance = max((repeats + 1.0) / (elsewhere.sum() + 2.0), step / (float(np.sqrt(2.0 * np.pi)) * noise))
+        of_limit = of_chance(stays * float(np.log(chance)), 6.0)
+        if Seen(of_limit).stated:
+            found.append(abs(top))
+            nats += of_limit
     if not found:
         return None
     return Limit(max(found), max(step / np.sqrt(12.0), 1e-6 * max(found)), nats)

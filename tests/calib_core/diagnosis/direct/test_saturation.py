@@ -57,3 +57,24 @@ def test_a_phone_that_rests_at_its_limit_clips_and_is_not_stuck(limit: float) ->
     assert found is not None and found.parameters["limit"].value == pytest.approx(limit, abs=2e-3)
     assert found.axes == ["x", "y", "z"]
     assert stuck(samples(clipped), "accel") is None
+
+
+def spun(limit: float, step: float, seed: int = 0) -> Samples:
+    """Return a gyroscope at 50 Hz that is spun three times at up to 3 rad/s, for some 0.4 s above 2 rad/s."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 120.0, 0.02)
+    rate = 0.005 * rng.standard_normal((t.size, 3))
+    for middle, most in ((20.0, 2.6), (60.0, 2.8), (90.0, 3.0)):
+        rate[:, 2] += most * np.exp(-(((t - middle) / 0.35) ** 2))
+    rate = np.clip(rate, -limit, limit)
+    return Samples.checked(Sensor.GYROSCOPE, t, np.round(rate / step) * step if step else rate)
+
+
+@pytest.mark.parametrize("step", [0.0, 1.07e-3, 4e-3])
+@pytest.mark.parametrize("seed", range(3))
+def test_three_fast_visits_to_a_limit_show_it(step: float, seed: int) -> None:
+    """Some 60 samples stay on one value, and hardly any lies just below it."""
+    noise = np.full(3, 0.005)
+    found = saturation(spun(2.0, step, seed), "gyro", noise, None)
+    assert found is not None and found.axes == ["z"]
+    assert found.parameters["limit"].value == pytest.approx(2.0, abs=3e-3)
+    assert saturation(spun(np.inf, step, seed), "gyro", noise, None) is None
