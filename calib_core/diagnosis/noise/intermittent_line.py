@@ -167,8 +167,10 @@ def _noise(seen: Stretches, frequency: float) -> Array:
     """Return the noise (S, 3) of a sample, the median of the line's neighbours in its own stretch."""
     away = np.arange(OWN // 2 + 1, BESIDE)
     steps = np.round(seen.wider[:, None] * np.concatenate([-away, away])).astype(np.int64)
-    near = np.clip(round(frequency / float(seen.f[1])) + steps, 0, seen.f.size - 1)
-    power = np.median(seen.power[np.arange(len(near))[:, None], near], axis=1) / np.log(2.0)
+    near = round(frequency / float(seen.f[1])) + steps
+    beyond = (near < 1) | (near > seen.f.size - 2)  # at low rates a line has fewer neighbours on one side
+    of_row = seen.power[np.arange(len(near))[:, None], np.where(beyond, 0, near)]
+    power = np.nanmedian(np.where(beyond[:, :, None], np.nan, of_row), axis=1) / np.log(2.0)
     least = SILENT * float(seen.power.max())
     return np.asarray(np.maximum(power, least) / (seen.taper**2).sum(axis=1)[:, None])
 

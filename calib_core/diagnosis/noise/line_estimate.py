@@ -5,6 +5,8 @@ Frequency and amplitude come from the stamps themselves.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
@@ -93,14 +95,15 @@ def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]
     grid = seen.f[middle] + np.arange(-1.5, 1.5 + FINE, FINE) * step
     power = (np.abs(_amplitudes(seen, few, float(grid[0]), FINE * step, grid.size)) ** 2).sum(axis=2)
     fold = blocks(len(power))
-    best = _peak(grid, power.sum(axis=0))
-    parts = np.array([_peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
+    best = peak(grid, power.sum(axis=0))
+    parts = np.array([peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
     n = parts.size
     error = STUDENT * float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
     return best, float(np.hypot(error, max(CLOCK * best, 2e-3 * step)))
 
 
-def _peak(grid: Array, power: Array) -> float:
+def peak(grid: Array, power: Array) -> float:
+    """Return where power (k,) on an even grid (k,) is largest, by a parabola through three points."""
     k = int(np.clip(np.argmax(power), 1, grid.size - 2))
     a, b, c = power[k - 1 : k + 2]
     bend = a - 2.0 * b + c
@@ -119,8 +122,27 @@ def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | 
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
     axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
     evidence = _seen(line, noise, seen.f.size)
+    pitch, size, span = (frequency, error), (amplitude, scatter), _lasts(seen, rows)
+    return vibration(sensor, seen, axes, pitch=pitch, size=size, span=span, evidence=evidence)
+
+
+def vibration(
+    sensor: str,
+    seen: Stretches,
+    axes: Sequence[int],
+    *,
+    pitch: tuple[float, float],
+    size: tuple[Array, Array],
+    span: tuple[float, float],
+    evidence: Seen,
+) -> Finding | None:
+    """State a vibration; None where the evidence does not carry it.
+
+    seen: the stretches it was found in; pitch: Hz, and its standard error; size: (3,) amplitudes and their
+    standard errors, in the sensor's unit; span: s, its first and last moment.
+    """
+    (frequency, error), (amplitude, scatter), (start, end) = pitch, size, span
     half = NORMAL_95 * error
-    start, end = _lasts(seen, rows)
     parameters = {
         "frequency": Parameter(frequency, [frequency - half, frequency + half], "Hz"),
         "amplitude": vector(amplitude, scatter, UNIT[sensor]),

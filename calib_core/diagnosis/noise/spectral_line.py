@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.coherent_line import coherent_line
 from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz, named_if_steady
 from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
@@ -63,16 +64,56 @@ CONTRAST = 5.0
 
 def tones(samples: Samples, sensor: str) -> list[Finding]:
     """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, `MOST_LINES` at most."""
-    found = [f for f in _of_any_length(samples, sensor) if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
-    return sorted(found, key=lambda f: -_nats(f))[:MOST_LINES]
+    places = Places.of(samples)
+    found = _of_any_length(places, sensor)
+    steady = [] if places is None else _coherent(places, sensor, found)
+    clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
+    lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
+    return sorted(lines, key=lambda f: -_nats(f))[:MOST_LINES]
+
+
+def _same(one: Finding, other: Finding) -> bool:
+    """Whether two lines are one."""
+    return abs(middle_hz(one) - middle_hz(other)) < NEAR / SHORT
+
+
+def _gain(found: Finding) -> float:
+    """Return by how much a line foretells what was left out, nats."""
+    return found.evidence.heldout_log_score_gain or 0.0
 
 
 def _nats(found: Finding) -> float:
     return found.evidence.log_bayes_factor or 0.0
 
 
-def _of_any_length(samples: Samples, sensor: str) -> list[Finding]:
-    places = Places.of(samples)
+def _coherent(places: Places, sensor: str, found: Sequence[Finding]) -> list[Finding]:
+    """Return lines that keep their phase through the recording, and foretell more than those `found` do.
+
+    One that lasts for a part of it is foretold better by its power there. Overtones of a body are none.
+    """
+    seen = stretches(places, sensor, SHORT) or stretches(places, sensor, BRIEF)
+    steady: list[Finding] = []
+    tried: list[float] = []
+    left = seen
+    while seen is not None and left is not None and len(steady) < MOST_LINES and len(tried) < MOST_TRIED:
+        one = coherent_line(places, left, sensor, LEAST_LINE_HZ, tried)
+        if one is None:
+            break
+        tried.append(middle_hz(one))
+        left = left.without(middle_hz(one), NEAR / SHORT)
+        whole = np.arange(len(seen.length), dtype=np.int64)
+        body = _pace(seen, whole, round(middle_hz(one) / float(seen.f[1]))) is not None
+        if not body and all(_gain(one) > _gain(other) for other in found if _same(one, other)):
+            steady.append(one)
+    every = [*steady, *(f for f in found if not any(_same(f, one) for one in steady))]
+    return [
+        named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one])
+        for one in steady
+        if seen is not None
+    ]
+
+
+def _of_any_length(places: Places | None, sensor: str) -> list[Finding]:
     short = stretches(places, sensor, SHORT)
     found = _lines(sensor, short)
     plain = [f for f in found if _nats(f) > PLAIN]

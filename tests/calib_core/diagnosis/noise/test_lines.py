@@ -166,3 +166,25 @@ def test_a_line_that_is_always_there_lasts_as_long_as_the_recording() -> None:
     xyz[:3000, 0] += 5.0 * np.sin(2.0 * np.pi * 0.3 * T[:3000])  # moved at first
     (found,) = tones(Samples(samples.sensor, T, frozen(xyz)), "accel")
     assert (found.where.t_start, found.where.t_end) == (T[0], T[-1])
+
+
+def slow_phone(amplitude: float, seed: int) -> Samples:
+    """Return 40 minutes at 10 Hz with a tone of 4.09 Hz on all axes, rests of 52 s between movements."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 2400.0, 0.1)
+    xyz = rng.normal(0.0, NOISE, (t.size, 3)) + amplitude * np.sin(2.0 * np.pi * 4.09 * t)[:, None]
+    moved = t % 60.0 > 52.0
+    xyz[moved] += rng.normal(0.0, 2.0, (int(moved.sum()), 3))
+    xyz[:, 2] += 9.81
+    return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.0009, 0.002, 0.02])
+def test_what_keeps_its_phase_is_found_however_faint_each_rest_shows_it(
+    amplitude: float,
+) -> None:
+    """A d' of 9 on each axis at 0.9 mm/s^2, at a frequency that bodies reach and near half of the rate."""
+    found = tones(slow_phone(amplitude, 3), "accel")
+    assert [f.effect for f in found] == ["vibration_tone"] * (amplitude > 0.0)
+    for line in found:
+        assert line.parameters["frequency"].value == pytest.approx(4.09, abs=1e-3)
+        assert line.parameters["amplitude"].value == pytest.approx([amplitude] * 3, rel=0.25)

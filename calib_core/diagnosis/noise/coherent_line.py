@@ -1,0 +1,138 @@
+"""A faint line that keeps its phase from the first rest to the last: all rests and axes together show it.
+
+Stretches by themselves tell a line by its power, of which most is noise. What keeps its phase through the
+whole recording stands out of the spectrum of all rests as one series, nothing between them. A fan wanders too
+much for that, and so does every body: hearts and hands are no such lines at any frequency.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.left_out import blocks
+from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Index, Seen, of_chance
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.line_estimate import CLOCK, SIGNIFICANT, peak, vibration
+from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, lines
+from stillcal.calib_core.diagnosis.noise.steady_segments import Places, Stretches
+from stillcal.calib_core.maths.rms import rms
+
+NEVER = 0.49
+"""Part of the sample rate above which no line is told from its alias."""
+
+FINE = 0.1
+"""Steps of the frequency's fit, in what the whole recording tells apart."""
+
+
+def coherent_line(
+    places: Places, seen: Stretches, sensor: str, lowest: float, known: Sequence[float]
+) -> Finding | None:
+    """Find the clearest line that keeps its phase; None where chance makes one as clear.
+
+    seen: the stretches of these places, without the lines that are `known`, Hz, near which none is sought;
+    lowest: Hz, below which none is.
+    """
+    rests = _Rests.of(places, seen)
+    told = np.stack([lines(axis) for axis in rests.series.T], axis=1)
+    f = np.arange(len(told)) * (rests.rate / (2 * (len(told) - 1)))
+    free = (f > lowest) & (f < NEVER * rests.rate)
+    for frequency in known:
+        free &= np.abs(f - frequency) > OWN * float(seen.f[1])
+    free[:ASIDE] = free[-ASIDE:] = False
+    if not free.any():
+        return None
+    nats, k = _clearest(told, np.flatnonzero(free))
+    return None if k is None else _stated(sensor, rests, seen, float(f[k]), nats)
+
+
+def _clearest(told: Array, at: Index) -> tuple[float, int | None]:
+    """Return nats for the clearest line on one axis or on all together, and its place; told: (F, 3)."""
+    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
+
+    together = -chi2.logsf(2.0 * told[at].sum(axis=1), 2 * told.shape[1])
+    best = np.maximum(together, told[at].max(axis=1))
+    k = int(np.argmax(best))
+    nats = of_chance(-float(best[k]), float(at.size * (told.shape[1] + 1)))
+    return nats, int(at[k]) if Seen(nats).stated else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rests:
+    """All stretches in their places as one series, each weighed by its noise.
+
+    Under the square of their taper those that overlap by half add up to the recording itself.
+
+    rate: Hz; series: (N, 3); first: (S,) rows where stretches begin; weight: (S, 3) of each one's values, the
+    usual one 1; noise: (S, 3) variance of a sample.
+    """
+
+    rate: float
+    series: Array
+    first: Index
+    weight: Array
+    noise: Array
+
+    @classmethod
+    def of(cls, places: Places, seen: Stretches) -> _Rests:
+        """Lay the stretches where they were recorded."""
+        first = np.searchsorted(places.t, seen.span[:, 0])
+        power = np.median(seen.power[:, 1:], axis=1) / np.log(2.0)
+        noise = np.maximum(power / (seen.taper**2).sum(axis=1)[:, None], 1e-300)
+        weight = np.median(noise, axis=0) / noise
+        series = np.zeros((places.t.size, 3))
+        for row, (a, n) in enumerate(zip(first, seen.length, strict=True)):
+            series[a : a + n] += weight[row] * (seen.taper[row, :n, None] * seen.tapered[row, :n])
+        rate = (places.t.size - 1) / float(places.t[-1] - places.t[0])
+        return cls(rate, series, first, weight, noise)
+
+    def sums(self, seen: Stretches, frequency: float) -> Array:
+        """Return the sums (S, 3) of each stretch's values, turned back by a frequency, Hz."""
+        by_place = -2j * np.pi * frequency / self.rate
+        turned = np.exp(by_place * np.arange(seen.tapered.shape[1]))
+        there = np.einsum("n,sn,sna->sa", turned, seen.taper, seen.tapered)
+        return np.asarray(np.exp(by_place * self.first)[:, None] * there)
+
+
+def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: float) -> Finding | None:
+    """State the line near a frequency, Hz."""
+    step = rests.rate / len(rests.series)
+    sums, middle = rests.sums(seen, near), seen.span.mean(axis=1)
+
+    def whole(away: Array) -> Array:
+        turned = np.exp(-2j * np.pi * np.outer(away, middle - middle.mean()))
+        return np.asarray(np.abs(turned @ (rests.weight * sums)) ** 2)
+
+    grid = step * np.arange(-1.0, 1.0 + FINE, FINE)
+    off = peak(grid, whole(grid).sum(axis=1))
+    frequency, power = near + off, whole(np.array([off]))[0]
+    aside = np.arange(OWN + 1, OWN + ASIDE + 1) * step
+    floor = whole(off + np.concatenate([-aside, aside])).mean(axis=0)
+    length = (rests.weight * (seen.taper**2).sum(axis=1)[:, None]).sum(axis=0) / 2.0
+    amplitude, scatter = np.sqrt(np.maximum(power - floor, 0.0)) / length, np.sqrt(floor / 2.0) / length
+    axes = [a for a in range(3) if amplitude[a] > SIGNIFICANT * scatter[a]] or [int(np.argmax(amplitude))]
+    # Cramer and Rao's bound of a sine's frequency, by how far it stands above the noise.
+    above = float(np.sqrt(2.0 * (power / floor).sum()))
+    error = float(np.hypot(np.sqrt(6.0) * step / np.pi / above, CLOCK * frequency))
+    evidence = Seen(nats, _left_out(rests.sums(seen, frequency), rests, seen))
+    pitch, size = (frequency, error), (amplitude, scatter)
+    return vibration(sensor, seen, axes, pitch=pitch, size=size, span=seen.whole, evidence=evidence)
+
+
+def _left_out(sums: Array, rests: _Rests, seen: Stretches) -> HeldOut:
+    """Predict the sums (S, 3) of stretches left out by the line that the others have."""
+    length = (seen.taper**2).sum(axis=1)[:, None] / 2.0
+    noise = rests.noise * (seen.taper**4).sum(axis=1)[:, None]
+    fold, gain = blocks(len(sums)), 0.0
+    before, after = [], []
+    for k in np.unique(fold):
+        train, test = fold != k, fold == k
+        line = (sums * length / noise)[train].sum(axis=0) / (length**2 / noise)[train].sum(axis=0)
+        left = np.abs(sums[test] - line * length[test])
+        gain += float(((np.abs(sums[test]) ** 2 - left**2) / noise[test]).sum())
+        before.append(rms(np.abs(sums[test]) / length[test]))
+        after.append(rms(left / length[test]))
+    return HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
