@@ -63,17 +63,17 @@ def _guided(where: Path) -> dict[str, Any]:
     """Print how far it is whenever that changes, until it ends; return the daemon's last answer."""
     laid, printed = _asked(where, "LayFaces"), ""
     click.echo(HOW)
+    line = laying_faces(laid)
     while laid["stage"] == "laying":
-        if (line := laying_faces(laid)) != printed:
+        if line != printed:
             click.echo(line)
         printed = line
         time.sleep(EVERY_S)
         try:
             laid = _asked(where, "GetFaces")
+            line = laying_faces(laid) if laid["stage"] == "laying" else printed
         except NoDaemonError:
-            if printed != WAITING:
-                click.echo(WAITING)
-            printed = WAITING
+            line = WAITING
     return laid
 
 

@@ -13,6 +13,9 @@ from stillcal.daemon.service.subscribers import CalibrationSubscribers
 from stillcal.daemon.store.document import PASSING
 from stillcal.daemon.system.log import say
 
+FACES = "faces"
+"""What is logged of known faces: each is saved at once, since a person laid it."""
+
 REMEDY = "run `stillcal record day.csv.gz --hours 24`, then `stillcal diagnose day.csv.gz`"
 """Advice where recalibrating does not help."""
 
@@ -35,7 +38,7 @@ class EngineActions:
         for action in actions:
             if isinstance(action, Log):
                 say(str(action.level), action.what, action.why, t=action.t, **action.fields)
-                self._saving.changed()
+                self._saving.changed(at_once=action.what == FACES)
             elif isinstance(action, Diagnose):
                 say("warning", "diagnose", f"{action.reason}: {REMEDY}", t=action.t)
             elif isinstance(action, Publish | Reject | Forget):

@@ -14,7 +14,9 @@ from click.testing import CliRunner
 
 from stillcal.calib_core.accelerometer.known_attitudes import FACE_DIRECTIONS
 from stillcal.daemon.app import Service
+from stillcal.daemon.cli.faces import EVERY_S, WAITING
 from stillcal.daemon.cli.main import cli
+from stillcal.daemon.service import saved_state
 from stillcal.daemon.store.store import Store
 from stillcal.daemon.wire.messages import Hello
 from stillcal.replay.phone import load_phone, simulate
@@ -81,12 +83,30 @@ def test_it_goes_on_through_a_restart_of_the_daemon(folder: Path, six: list[Any]
                 await until(lambda: laid(service) == 0)
                 phone = asyncio.create_task(link.serve())
                 await until(lambda: laid(service) == 3)
+            await asyncio.sleep(4 * EVERY_S)
             async with running(given) as service:
                 assert laid(service) >= 3
                 code, out, err = await ended(process)
             phone.cancel()
         assert (code, err) == (0, "")
         assert out.count("calibrated: six known faces") == 1
+        assert out.count(WAITING) == 1
+
+    within_reason(test())
+
+
+def test_a_face_is_saved_as_soon_as_it_is_there(folder: Path, six: list[Any]) -> None:
+    """A person laid it, and a daemon may be killed at any time."""
+
+    async def test() -> None:
+        async with running(given_in(folder)) as service:
+            await service.lay_faces(stop=False)
+            phone = asyncio.create_task(serve_phone(six, {}, LinkSettings(speed=60.0), path=folder / "tty"))
+            await until(lambda: laid(service) == 1)
+            await asyncio.sleep(1.0)
+            kept = saved_state.load(folder / "store.state").state
+            assert kept is not None and kept.engine.faces is not None and kept.engine.faces.done
+            phone.cancel()
 
     within_reason(test())
 
