@@ -15,6 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.streams.course import Course
 from stillcal.daemon.cli.exits import TOO_LITTLE, VERDICT
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
@@ -312,12 +313,13 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     whole = asked.paired or bool(asked.witnesses)
     recording = _read(asked.reading, asked.trace, show_stage, whole=whole)
     if asked.covariates:
-        recording = replace(recording, covariates=read_covariates(asked.trace, asked.covariates))
+        recording = replace(recording, covariates=_columns(asked.reading, asked.trace, asked.covariates))
     simulated = None
     if asked.simulated is not None:
         simulated = _read_simulation(asked, asked.simulated, show_stage, whole=whole)
         logged = columns_there(asked.simulated, asked.covariates)
-        simulated = replace(simulated, covariates=read_covariates(asked.simulated, logged) if logged else {})
+        columns = _columns(asked.simulated_reading, asked.simulated, logged) if logged else {}
+        simulated = replace(simulated, covariates=columns)
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else Path(asked.phone).name
@@ -351,6 +353,11 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
     if whole:
         return trace.recording(trace.name_of(path), lambda done: show_stage(stage, done))
     return read_condensed(trace, path, lambda done: show_stage(stage, done))
+
+
+def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, Course]:
+    """Return further columns of a recording, by the time that its samples have."""
+    return read_covariates(path, names, reading.open(path).first_file.time)
 
 
 def _read_simulation(asked: _Asked, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:

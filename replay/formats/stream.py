@@ -19,7 +19,7 @@ from stillcal.calib_core.streams.limits import STAMP_S, usable
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
-from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap
+from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.tables.layout import lay_out, selection
 from stillcal.replay.formats.tables.table import EMPTY, Table
@@ -72,6 +72,11 @@ class SampleFile:
     def selected(self) -> list[str]:
         """The cells by which rows are chosen; none where all are read."""
         return [text for _, text in self._key]
+
+    @property
+    def time(self) -> TimeMap:
+        """Where the stamps are in the table, and in which unit."""
+        return self._map.time
 
     @property
     def sensors(self) -> list[Sensor]:

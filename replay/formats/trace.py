@@ -23,6 +23,7 @@ from stillcal.replay.formats.merge import Cut, cut, merged
 from stillcal.replay.formats.recognition.log import Log
 from stillcal.replay.formats.recognition.opened import open_log
 from stillcal.replay.formats.sources import STANDARD_INPUT
+from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.notebook import html_table
 
 
@@ -150,6 +151,11 @@ class Trace:
     def has_arrival(self) -> bool:
         """Whether the recording has a column of arrival times."""
         return any(file.has_arrival for file in self._files)
+
+    @property
+    def first_file(self) -> SampleFile:
+        """The file that the accelerometer is read from."""
+        return self._files[0]
 
     @property
     def size_bytes(self) -> int:

@@ -206,3 +206,28 @@ def test_a_cell_of_nan_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "sparse.csv"
     path.write_text("t,ax,ay,az,load\n0,0,0,9.8,3\n1,0,0,9.8,nan\n2,0,0,9.8,5\n")
     assert read_covariates(path, ["load"])["load"].at(np.array([1.0])) == pytest.approx(4.0)
+
+
+def test_a_column_is_read_over_the_time_of_a_recognised_log(tmp_path: Path) -> None:
+    """Stamps in ms under another name, as the samples have them."""
+    path = tmp_path / "foreign.csv"
+    rows = [f"{20 * i + 5000},0.1,0.2,9.8,{i / 10 if i % 5 == 0 else ''}" for i in range(500)]
+    path.write_text("\n".join(["timestamp,ax,ay,az,load", *rows]) + "\n")
+    opened = open_trace(path)
+    load = read_covariates(path, ["load"], opened.first_file.time)["load"]
+    samples = opened.recording("foreign").accelerometer
+    np.testing.assert_allclose(load.t, samples.t[::5])
+    np.testing.assert_allclose(load.at(samples.t[50:51]), 5.0)
+    code, text = run(path, "--covariate", "load")
+    assert "it has no column" not in text and code in (0, 3)
+
+
+def test_dates_are_read_as_the_samples_dates_are(tmp_path: Path) -> None:
+    path = tmp_path / "dated.csv"
+    start = np.datetime64("2026-03-01T10:00:00.000")
+    stamps = [str(start + np.timedelta64(20 * i, "ms")) for i in range(300)]
+    rows = [f"{stamp},0.1,0.2,9.8,{i}" for i, stamp in enumerate(stamps)]
+    path.write_text("\n".join(["time,ax,ay,az,load", *rows]) + "\n")
+    opened = open_trace(path)
+    load = read_covariates(path, ["load"], opened.first_file.time)["load"]
+    np.testing.assert_allclose(load.t, opened.recording("dated").accelerometer.t)
