@@ -33,6 +33,10 @@ LAGS = (0.0, 200.0, 1000.0)
 HEATS = (60.0, 150.0, 400.0, 1000.0, 2500.0)
 """s within which a charger's heat builds up."""
 
+NEAR = 0.1
+"""Part of the width's square that the weighted times about a moment must spread by for a slope between them:
+a line through bins on both sides, a width away, has all of it."""
+
 Driver = Callable[[Moments, float], Array | None]
 """What a bias may follow (n,), None where it was not recorded or does not change, by a lag in s."""
 
@@ -146,10 +150,25 @@ def warmth(moments: Moments, lag: float) -> Array | None:
     return first_order(Course(moments.t, now), lag).at(moments.t)
 
 
-def heating(moments: Moments, lag: float) -> Array | None:
-    """Return by how much the temperature rises, K/s."""
-    now = warmth(moments, lag)
-    return None if now is None else np.asarray(np.gradient(now, moments.t))
+def heating(moments: Moments, width: float) -> Array | None:
+    """Return by how much the temperature rises, K/s. width: s, over which it is averaged; 0: between bins.
+
+    A thermometer's noise and steps, divided by the time between two bins, are a good part of any rate. So
+    the rate is the slope of a straight line through the temperatures about a moment, by Gaussian weights of
+    this deviation. Where no other bin is as near it is that between bins.
+    """
+    now, t = warmth(moments, 0.0), moments.t
+    if now is None:
+        return None
+    between = np.asarray(np.gradient(now, t))
+    if width == 0.0:
+        return between
+    weight = np.exp(-0.5 * ((t[:, None] - t) / width) ** 2)
+    weight /= weight.sum(axis=1, keepdims=True)
+    away = t - (weight @ t)[:, None]
+    spread = (weight * away**2).sum(axis=1)
+    seen = spread > NEAR * width**2
+    return np.where(seen, ((weight * away) @ now) / np.where(seen, spread, 1.0), between)
 
 
 def plugged(moments: Moments, lag: float) -> Array | None:

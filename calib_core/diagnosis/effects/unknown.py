@@ -38,6 +38,9 @@ MARGIN = 1.2
 LENGTHS = (0.2, 0.6, np.inf)
 """Correlation lengths, as parts of the driver's range; the last leaves a straight line."""
 
+HEATING_WIDTHS = (0.0, 60.0, 200.0)
+"""s over which a rate of heating is averaged: heat takes minutes, noise of a thermometer does not."""
+
 SHAKEN = "vibration power"
 """What is followed by structure that goes with how much the device is shaken."""
 
@@ -333,7 +336,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
     """Return the nameless effects of one sensor, in rests and in turns."""
     own: list[Effect] = [
         SmoothCurve(sensor, "temperature's past or bend", curves.warmth, curves.LAGS),
-        SmoothCurve(sensor, "rate of heating", curves.heating),
+        SmoothCurve(sensor, "rate of heating", curves.heating, HEATING_WIDTHS),
         SmoothCurve(sensor, "the past of charging", curves.plugged, curves.HEATS),
         SmoothCurve(sensor, SHAKEN, curves.shaking),
         Settling(sensor),

@@ -1,0 +1,56 @@
+"""A bias that follows the rate of heating, by a thermometer with noise and steps as a phone's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.effects.curves import heating
+from stillcal.calib_core.diagnosis.model.moments import moments_of
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from tests.support.diagnosis import nulls
+
+
+def heated(largest: float) -> tuple[Bins, nulls.Day]:
+    """Return an hour in twelve attitudes. largest: m/s^2, the bias on z where it heats fastest."""
+    rng = np.random.default_rng(0)
+    t = np.arange(3600.0)
+    rest, left = np.divmod(t.astype(int), 90)
+    up = nulls.random_attitudes(rng, 12)[rest % 12]
+    warm = 25.0 + 8.0 * np.sin(2.0 * np.pi * t / 1500.0) + 3.0 * (1.0 - np.exp(-t / 600.0))
+    day = nulls.Day(t, np.where(left < 82, rest, -1), up, warm, np.zeros(t.size))
+    rate = np.gradient(warm)
+    error = np.outer(largest * rate / np.abs(rate).max(), [0.3, 0.5, 1.0])
+    quiet = {"accel": nulls.Wander(pink=3e-4), "gyro": nulls.Wander()}
+    bins = nulls.bins_of(rng, day, quiet, accel_error=error, charger=False)
+    assert bins.temperature is not None
+    read = np.round((bins.temperature + rng.normal(0.0, 0.05, len(bins))) / 0.1) * 0.1
+    return replace(bins, temperature=read), day
+
+
+def test_two_milli_g_by_the_rate_of_heating_follow_it() -> None:
+    """By the rate between bins they followed a period in time: the thermometer's noise is a tenth of it."""
+    bins, _ = heated(0.02)
+    found = slow_findings(scenes(bins, nulls.G)[0])
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", "rate of heating")]
+
+
+def test_a_rate_over_minutes_is_free_of_the_thermometers_noise() -> None:
+    bins, day = heated(0.0)
+    true = np.interp(bins.t, day.t, np.gradient(day.temperature))
+    moments = moments_of(bins, None, {})
+    between, over = (heating(moments, width) for width in (0.0, 60.0))
+    assert between is not None and over is not None
+    inner = slice(5, -5)  # a line at an end knows one side only
+    left = [float(np.std((rate - true)[inner]) / np.std(true)) for rate in (between, over)]
+    assert left[0] > 0.1 and left[1] < 0.05
+
+
+def test_between_bins_that_are_far_apart_the_rate_is_that_from_one_to_the_next() -> None:
+    bins, _ = heated(0.0)
+    moments = moments_of(bins, None, {})
+    apart = replace(moments, t=1e4 * np.arange(len(bins)))
+    np.testing.assert_array_equal(heating(apart, 60.0), heating(apart, 0.0))
