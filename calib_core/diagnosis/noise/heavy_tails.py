@@ -6,7 +6,7 @@ The quiet rests tell: what shakes the phone in others adds samples that follow e
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     direct_finding,
     of_counts,
     of_measured,
+    share_of,
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
@@ -37,6 +38,9 @@ BOUND = 6.0
 Below eight degrees of freedom Student's has no variance: its error would grow with the moment itself."""
 
 TOGETHER = 0.2
+AT_ONCE = "outliers of several axes at once"
+RINGS = 3
+"""Samples within which another far one is of the same knock."""
 CLUSTERED = 0.05
 MOST_WIDE = 0.35
 SPIKE, RARE = 8.0, 2e-3
@@ -128,7 +132,7 @@ def excess_kurtosis(still: Quiet) -> Measured | None:
 
 
 def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) -> Finding | None:
-    """Find far samples that come alone: not with others in time, nor on the other axes.
+    """Find far samples that come alone, not with others in time; on several axes at once they have no name.
 
     usual: of the excess kurtosis. step: of the values; its share of the variance is taken off.
     """
@@ -140,10 +144,13 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     best = max((of_measured(k, usual) for k in every), key=lambda s: s.log_bayes_factor)
     axes = [a for a in AXES if best.stated and (_heavy(kurtosis[a], usual) or _heavy(held[a], usual))]
     everything = np.concatenate(scaled)
-    if _few_levels(still) or _clustered(everything[:, axes or AXES]) or _together(everything):
+    if _few_levels(still) or _clustered(everything[:, axes or AXES]):
         return None
-    if not axes:
-        return _lone(sensor, scaled, where)
+    gain = best.log_bayes_factor - float(np.log(len(every)))
+    together = _together(everything)
+    if together or not axes:
+        seen = Seen(gain, _left_out(scaled), best.unusual) if together and best.stated else best
+        return _at_once(sensor, scaled, where, seen) if together else _lone(sensor, scaled, where)
     values = np.abs(everything[:, axes]).ravel()
     fit = contaminated(values, (step / float(spread[axes].mean())) ** 2 / 12.0)
     if fit.fraction.value > MOST_WIDE:
@@ -159,7 +166,6 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
             "1",
         ),
     }
-    gain = best.log_bayes_factor - float(np.log(len(every)))
     seen = Seen(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
@@ -167,6 +173,27 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
         say = f"{share:.1%} of the {NAME[sensor]}'s samples at rest are outliers, {odd}: they are no noise."
         return direct_finding("unknown", sensor, axes, where, parameters, statement=say, seen=seen)
     return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
+
+
+def _at_once(sensor: str, scaled: Sequence[Array], where: Where, seen: Seen) -> Finding | None:
+    """State far samples that come on several axes at once, each alone in time; None of what lasts.
+
+    Noise of the axes' own elements does not come so, and a knock rings for more than a sample.
+    """
+    rows = [np.flatnonzero((np.abs(z) > FAR).any(axis=1)) for z in scaled]
+    followed = sum(int((np.diff(r) <= RINGS).sum()) for r in rows)
+    count = sum(r.size for r in rows)
+    if followed > TOGETHER * count:
+        return None
+    several = sum(int(((np.abs(z) > FAR).sum(axis=1) > 1).sum()) for z in scaled)
+    share = share_of(float(several), float(sum(len(z) for z in scaled)))
+    say = (
+        f"{share.value:.2%} of the {NAME[sensor]}'s samples at rest are outliers on several axes at once,"
+        f" each alone in time: no noise of single axes, and no knock, which lasts."
+    )
+    own = replace(where, driver=AT_ONCE)
+    parameters = {"fraction": share.parameter("1")}
+    return direct_finding("unknown", sensor, AXES, own, parameters, statement=say, seen=seen)
 
 
 def unlike_noise(z: Array, step: float = 0.0) -> str:

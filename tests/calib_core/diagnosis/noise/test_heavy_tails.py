@@ -115,3 +115,18 @@ def test_outliers_of_one_side_or_one_size_are_no_noise() -> None:
     assert unlike_noise(rng.standard_t(4, size=normal.shape)) == ""
     assert "one side" in unlike_noise(normal + 8.0 * far * np.abs(rng.normal(size=normal.shape)))
     assert "times the noise" in unlike_noise(normal + 9.2 * far * rng.choice([-1.0, 1.0], normal.shape))
+
+
+@pytest.mark.parametrize("lasting", [1, 6])
+def test_far_samples_of_all_axes_at_once_have_no_name_and_knocks_are_none(lasting: int) -> None:
+    """One sample in a hundred is five times as large on all axes, or six in a row are, as often."""
+    rng = np.random.default_rng(4)
+    values = rng.normal(size=(50000, 3))
+    struck = np.zeros(50000, dtype=np.bool_)
+    for first in rng.choice(49990, 500 // lasting, replace=False):
+        struck[first : first + lasting] = True
+    found = said(np.where(struck[:, None], 5.0, 1.0) * values)
+    assert (found is not None) == (lasting == 1)
+    if found is not None:
+        assert (found.effect, found.axes) == ("unknown", ["x", "y", "z"])
+        assert found.where.driver == "outliers of several axes at once"
