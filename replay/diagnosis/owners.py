@@ -76,26 +76,35 @@ def owners_of(
     of_pair = [d for d in found.discrepancies if d.recorded is None or id(d.recorded) not in own]
     if not of_pair:
         return []
-    # Two sensors' differences are the same.
     scenes = [differing(k) for k in range(len(recordings))] if len(recordings) > 2 else []
     names = [r.name for r in recordings]
 
     def vote(alone: Sequence[Sequence[Finding]]) -> list[Owned]:
         out = []
         for one in of_pair:
-            its = [next(s for s in each if s.sensor == one.sensor) for each in scenes]
+            of_kind = _having(recordings, one.sensor)
+            # Two sensors' differences are the same.
+            compared = [scenes[k] for k in of_kind] if len(of_kind) > 2 else []
+            its = [next(s for s in each if s.sensor == one.sensor) for each in compared]
             said = next((s for s in stated if s.finding is one.recorded), None)
-            nats = np.array([max((_nats(f, one) for f in each), default=0.0) for each in alone])
+            nats = np.array([max((_nats(f, one) for f in each), default=0.0) for each in alone])[of_kind]
             beside = [s for s in stated if s.finding.sensor == one.sensor]
             told = Stated(one.recorded) if said is None and one.recorded is not None else said
             assert told is not None, "what is found in a pair is a finding"
-            out.append(Owned(one, names, shares(told, beside, its, nats)))
+            likely = np.zeros(len(recordings))
+            likely[of_kind] = shares(told, beside, its, nats)
+            out.append(Owned(one, names, likely))
         return out
 
     owned = vote([()] * len(recordings))
     if all(one.owner is not None for one in owned):
         return owned
     return vote([_alone(one) for one in recordings])
+
+
+def _having(recordings: Sequence[Recording], sensor: str) -> list[int]:
+    """Return which recordings have a sensor, by their place."""
+    return [k for k, r in enumerate(recordings) if sensor != "gyro" or r.gyroscope is not None]
 
 
 def _alone(recording: Recording) -> list[Finding]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +55,18 @@ def test_what_one_of_three_sensors_shows_is_told_as_its_own(owner: int) -> None:
         assert (said["verdict"], found, notes[1]) == ("match", [], [])
         assert {f["sensor"] for f in notes[0]} == {"gyro"}
         assert any("it is one.csv's" in line for line in summary(said))
+
+
+@pytest.mark.slow
+def test_a_witness_without_a_gyroscope_has_no_vote_on_one() -> None:
+    drift, brief = np.array([6e-3, 0.0, -3e-3]), 240.0
+    one = sensor(2, "one.csv", turned=OBLIQUE, drift=drift, length=brief)
+    two = replace(sensor(3, "two.csv", length=brief), gyroscope=None)
+    said = judge_with_witnesses(sensor(1, length=brief), [one, two]).answer
+    assert said["findings"]
+    for found in said["findings"]:
+        assert found["owners"]["two.csv"] == 0.0 and found["probability"] < 0.95
+        assert "real.csv or one.csv" in found["statement"]
 
 
 def test_a_witness_on_another_body_is_refused() -> None:
