@@ -36,6 +36,9 @@ def lines(value: Any, indent: str = "") -> Iterator[str]:
             if isinstance(item, dict) or _is_table(item):
                 yield f"{indent}{key}"
                 yield from lines(item, indent + "  ")
+            elif _is_of_texts(item):
+                yield f"{indent}{key}"
+                yield from (f"{indent}  {printable(text)}" for text in item)
             else:
                 yield f"{indent}{key:<{WIDTH}} {_text(item)}"
     elif _is_table(value):
@@ -48,6 +51,12 @@ def lines(value: Any, indent: str = "") -> Iterator[str]:
 
 def _is_table(value: Any) -> bool:
     return isinstance(value, list) and any(isinstance(item, list | dict) for item in value)
+
+
+def _is_of_texts(value: Any) -> bool:
+    """Whether a value is several texts, of which one at least is as long as a sentence."""
+    texts = isinstance(value, list) and len(value) > 1 and all(isinstance(item, str) for item in value)
+    return texts and max(map(len, value)) > WIDE
 
 
 def _table(rows: Sequence[Any]) -> Iterator[str]:

@@ -61,18 +61,22 @@ def cli() -> None:
     """Calibrate a phone's accelerometer and gyroscope without anybody's help, live or from recordings."""
 
 
+BY_CLICK = ("Got unexpected extra argument", "No such command")
+"""How messages of click begin that have no class of their own."""
+
+
 def main() -> None:
     """Run the command line; turn every expected error into one line on standard error."""
     _prepare_standard_output()
     if sys.argv[1:2] == ["run"]:
         _without_openssl()
     try:
-        sys.exit(cli.main(standalone_mode=False))
+        sys.exit(cli.main(prog_name="stillcal", standalone_mode=False))
     except click.exceptions.NoArgsIsHelpError as error:
         error.show()
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        click.echo(f"stillcal: {error.format_message()}", err=True)
+        click.echo(f"stillcal: {_complaint(error)}", err=True)
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt):
         click.echo(INTERRUPTION, err=True)
@@ -89,6 +93,20 @@ def main() -> None:
         where = f"{error.filename}: " if error.filename else ""
         click.echo(f"stillcal: {where}{error.strerror or error}", err=True)
         sys.exit(BAD_INPUT)
+
+
+def _complaint(error: click.ClickException) -> str:
+    """Return an error in one line; where click found it in the words typed, with where their help is.
+
+    What the commands themselves refuse says what to do.
+    """
+    text = " ".join(error.format_message().split())
+    by_click = isinstance(error, click.BadParameter | click.NoSuchOption | click.BadOptionUsage)
+    if not isinstance(error, click.UsageError) or error.ctx is None:
+        return text
+    if not by_click and not text.startswith(BY_CLICK):
+        return text
+    return f"{text.rstrip('.')}: see `{error.ctx.command_path} --help`"
 
 
 class _StandardOutput(io.FileIO):

@@ -36,6 +36,22 @@ SIGNS = {"?": "? may be left out", "[]": "[] is a list", "[][]": "[][] a list of
 NO_METHOD = ("MethodNotFound", "InterfaceNotFound", "ProtocolViolation")
 """Errors of a question whose method is not there; the last one where its name can be none of a method."""
 
+MEANT = {
+    "temperature_c": "degrees Celsius, such as 25",
+    "limit": "a whole number from 0 on, such as 5",
+    "sensor": "accelerometer or gyroscope",
+    "samples": "rows of three numbers, 1000 at most, such as [[0.1,0.2,9.8]]",
+    "force": "as many rows of three numbers as there are samples",
+    "smooth_hz": "the sampling rate in Hz, such as 50",
+    "batch_s": "the seconds between two answers, such as 0.1",
+    "stop": "true or false",
+    "sparing": "true or false",
+}
+"""What parameters may be, in words: their type alone does not say which numbers are allowed."""
+
+LONGEST_VALUE = 40
+"""Characters of a wrong value that a message repeats."""
+
 TEXTS = ("to", "sensor")
 """Parameters that are texts, also where they look like a number, as a calibration's id may."""
 
@@ -181,7 +197,10 @@ def _misfit(name: str, given: dict[str, Any], shape: str) -> str:
     if not known:
         what = f"no parameter is called {name}"
     elif name in given:
-        what = f"{name} has a wrong type or value"
+        value = json.dumps(given[name], ensure_ascii=False)
+        value = value if len(value) <= LONGEST_VALUE else f"{value[:LONGEST_VALUE]}..."
+        meant = f"; give {MEANT[name]}" if name in MEANT else ""
+        what = f"{name} cannot be {value}{meant}"
     else:
         what = f"{name} is missing"
     signs = [words for sign, words in SIGNS.items() if sign in shape]
@@ -211,6 +230,9 @@ def exit_with_error(error: str, parameters: dict[str, Any], where: Path, questio
 def _print(answer: dict[str, Any], as_json: bool) -> None:
     if as_json:
         click.echo(json.dumps(answer))
+        return
+    if not answer:
+        click.echo("done")
         return
     inner = next(iter(answer.values())) if len(answer) == 1 else answer
     click.echo("\n".join(lines(inner)))

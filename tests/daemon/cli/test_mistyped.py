@@ -371,3 +371,21 @@ def test_a_reload_asked_for_while_it_starts_does_not_end_it(tmp_path: Path) -> N
 def test_the_console_script_is_that_entry() -> None:
     project = tomllib.loads(Path("pyproject.toml").read_text())["project"]
     assert project["scripts"]["stillcal"] == "stillcal.daemon.cli.entry:main"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        (
+            ["store", "rollback", "store.json", "5"],
+            "argument (5): see `stillcal store rollback --help`",
+        ),
+        (["store", "export", "store.json"], "Choose from: kalibr, px4, "),
+        (["faces", "--bogus"], "No such option '--bogus': see `stillcal faces --help`"),
+        (["record", "r.csv", "--hours", "x"], "'x' is not a number: see `stillcal record --help`"),
+    ],
+)
+def test_a_mistyped_command_is_one_line_that_names_its_help(words: list[str], why: str) -> None:
+    said = limited(*words)
+    (line,) = said.stderr.splitlines()
+    assert said.returncode == 2 and line.startswith("stillcal: ") and why in line

@@ -35,22 +35,27 @@ def test_arguments_are_names_with_values_json_or_standard_input(folder: Path, ma
             table = (await query("GetHistory")).stdout.splitlines()
             assert len(table) == 1 + 4
             assert table[0].split()[:2] == ["id", "what"]
+            assert (await query("Reload")).stdout == "done\n"
             refused = await query("Rollback", "to=123456")  # a text, although it reads as a number
             assert "no earlier calibrations with an id beginning with '123456'" in refused.stderr
             for wrong in ("limit", "[1]", "=3"):
                 said = await query("GetHistory", wrong)
                 assert (said.returncode, len(said.stderr.splitlines())) == (2, 1), said.stderr
             for wrong, why in (
-                ("limit=many", "limit has a wrong type or value"),
-                ("limit=-1", "limit has a wrong type or value"),
+                ("limit=many", 'limit cannot be "many"; give a whole number from 0 on, such as 5'),
+                ("limit=-1", "limit cannot be -1; give a whole number from 0 on, such as 5"),
                 ("limt=1", "no parameter is called limt"),
             ):
                 said = await query("GetHistory", wrong)
                 expected = f"{why}; expected: GetHistory(limit: ?int) (? may be left out)\n"
                 assert (said.returncode, expected in said.stderr) == (2, True), said.stderr
-            for words, why in (((), "is missing"), (("samples=[[1,2]]",), "has a wrong type or value")):
+            for words, why in (
+                ((), "is missing"),
+                (("samples=[[1,2]]",), "cannot be [[1, 2]]; give rows of"),
+            ):
                 said = await query("Correct", "sensor=gyroscope", *words)
-                assert f"samples {why}; expected: Correct(sensor: (accelerometer, gyr" in said.stderr
+                assert f"samples {why}" in said.stderr
+                assert "; expected: Correct(sensor: (accelerometer, gyr" in said.stderr
                 assert "[][] a list of rows [x, y, z]" in said.stderr
 
     within_reason(test())
@@ -119,3 +124,9 @@ def test_a_table_with_several_long_texts_gives_them_lines_of_their_own_below_the
     (first,) = [i for i, line in enumerate(text) if line.strip().startswith("e1")]
     assert any("outcome: 0 y" in line for line in text[:first])
     assert any("outcome: 1 y" in line for line in text[first:])
+
+
+def test_several_sentences_have_a_line_each_and_short_words_share_one() -> None:
+    lay = ["lay it on its right edge (x axis down)", "lay it on its left edge (x axis up)"]
+    assert list(lines({"missing": lay, "axes": ["x", "y"]}))[:3] == ["missing", *(f"  {w}" for w in lay)]
+    assert next(lines({"axes": ["x", "y"]})).split() == ["axes", "x", "y"]
