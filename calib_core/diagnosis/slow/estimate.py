@@ -12,13 +12,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothesis, null_log_likelihood
+from stillcal.calib_core.diagnosis.inference.likelihood import (
+    Fit,
+    fit_hypothesis,
+    highest,
+    null_log_likelihood,
+)
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Parameter
 from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_scene
 
 GRID_PARAMETERS = ("tau_s", "period_s")
+
+UNLIKELY = 7.0
+"""nats below the likeliest point from which another weighs less than a thousandth, and is left out."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +55,7 @@ class Estimate:
 
 def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Estimate:
     """Fit one finding with the others' columns free beside it."""
-    candidates = scene.finer(hypothesis)
+    candidates = _candidates(scene, hypothesis, others)
     reduced = reduce_scene(scene, candidates, others)
     fits = [fit_hypothesis(reduced, h) for h in range(len(candidates))]
     gains = np.array([f.log_likelihood for f in fits])
@@ -59,11 +67,35 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
     covariance *= freedom / (freedom - 2.0)
     top = candidates[int(gains.argmax())]
     grid = {
-        name: _quantiles(candidates, name, weight)
+        name: _quantiles(candidates, name, weight, _choice(top))
         for name in hypothesis.grid
         if name in hypothesis.effect.grid_units
     }
     return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
+
+
+def _candidates(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """Return the points of the fine grid, also about coarse ones that differ in what that leaves as it is.
+
+    The shares of a latent heat's sources are of the coarse grid alone, and hardly told: with those of the
+    likeliest point only, its intervals were too narrow. Of each choice the likeliest point counts.
+    """
+    made, known = scene.finer(hypothesis), {_choice(hypothesis)}
+    if made == [hypothesis] or not _choice(hypothesis):
+        return made
+    coarse = scene.hypotheses(hypothesis.effect)
+    reduced = reduce_scene(scene, coarse, others)
+    heights = np.array([highest(reduced, i) for i in range(len(coarse))])
+    for i in np.argsort(-heights):
+        if heights[i] > heights.max() - UNLIKELY and _choice(coarse[i]) not in known:
+            known.add(_choice(coarse[i]))
+            made = [*made, *scene.finer(coarse[i])]
+    return made
+
+
+def _choice(hypothesis: Hypothesis) -> tuple[float, ...]:
+    """Return the values of a grid point that its fine grid leaves as they are: those without a unit."""
+    return tuple(v for k, v in sorted(hypothesis.grid.items()) if k not in hypothesis.effect.grid_units)
 
 
 def _averaged(fits: list[Fit], weight: Array, sizes: Array) -> tuple[Array, Array]:
@@ -75,15 +107,22 @@ def _averaged(fits: list[Fit], weight: Array, sizes: Array) -> tuple[Array, Arra
     return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes))
 
 
-def _quantiles(candidates: list[Hypothesis], name: str, weight: Array) -> tuple[float, float, float]:
-    """Median and 95 % interval of a grid parameter, by its weight; at least half a grid step wide."""
+def _quantiles(
+    candidates: list[Hypothesis], name: str, weight: Array, choice: tuple[float, ...]
+) -> tuple[float, float, float]:
+    """Median and 95 % interval of a grid parameter, by its weight; at least half a grid step wide.
+
+    choice: of the likeliest point, whose own grid the step is of.
+    """
     values = np.array([c.grid[name] for c in candidates])
     order = np.argsort(values)
+    own = np.array([_choice(c) == choice for c in candidates])[order]
     values, weight = values[order], weight[order]
     if values.size == 1:
         return float(values[0]), float(values[0]), float(values[0])
     middle = np.cumsum(weight) - weight / 2.0
     low, median, high = np.interp((0.025, 0.5, 0.975), middle, values)
+    values, weight = values[own], weight[own]
     k = int(np.argmax(weight))
     floor, ceiling = values[max(k - 1, 0)], values[min(k + 1, values.size - 1)]
     return (
