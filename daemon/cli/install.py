@@ -115,6 +115,8 @@ def _refuse_odd_names(port: str | None) -> None:
             f"{_command()!a}: systemd runs no command whose path has a quote, a backslash, "
             "a control character or bytes that are no UTF-8: install stillcal in a folder without them"
         )
+    if port == "":
+        raise click.UsageError("--port is empty: name the phone's serial device, such as /dev/ttyACM0")
     if not is_utf8(port or ""):
         raise click.UsageError(f"--port {port!a}: is no UTF-8 text: give another name")
 

@@ -43,7 +43,7 @@ MEANT = {
     "samples": "rows of three numbers, 1000 at most, such as [[0.1,0.2,9.8]]",
     "force": "as many rows of three numbers as there are samples",
     "smooth_hz": "the sampling rate in Hz, such as 50",
-    "batch_s": "the seconds between two answers, such as 0.1",
+    "batch_s": "0 to 1 seconds between two answers, such as 0.1",
     "stop": "true or false",
     "sparing": "true or false",
 }

@@ -131,6 +131,8 @@ class Store:
         if verification.store.problem is None:
             return verification.store.document
         if verification.last_good.document is None:
+            if verification.store.foreign and verification.last_good.problem is None:
+                raise StoreError(f"{self.path} is no store of calibrations: give the JSON file of one")
             raise StoreError(
                 f"{self.path} cannot be used ({verification.store.problem}), and {self.last_good_path.name}"
                 " holds no good copy: give the path of a store that stillcal wrote"

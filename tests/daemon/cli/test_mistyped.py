@@ -293,9 +293,12 @@ def test_a_command_in_an_odd_folder_is_one_word_of_the_unit(monkeypatch: pytest.
     assert line == 'ExecStart="/opt/still cal 50%%/bin/stillcal" run --config /etc/stillcal/stillcal.toml'
 
 
-def test_a_port_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    result = CliRunner().invoke(install_command, ["--root", str(tmp_path), "--port", "/dev/\udcff"])
-    assert result.exit_code == 2 and "is no UTF-8 text" in result.output
+@pytest.mark.parametrize(
+    ("port", "why"), [("/dev/\udcff", "is no UTF-8 text"), ("", "--port is empty: name")]
+)
+def test_a_port_that_is_none_is_refused(tmp_path: Path, port: str, why: str) -> None:
+    result = CliRunner().invoke(install_command, ["--root", str(tmp_path), "--port", port])
+    assert result.exit_code == 2 and why in result.output
     assert not list(tmp_path.iterdir())
 
 

@@ -140,6 +140,12 @@ def test_a_bad_store_is_set_aside_and_its_last_good_copy_used(store, path, make_
     assert store.recover().notes == ()
 
 
+def test_a_file_that_never_was_a_store_is_called_that(store, path):
+    path.write_bytes(b"t,ax,ay,az\n0,0,0,9.8\n")
+    with pytest.raises(StoreError, match="is no store of calibrations: give the JSON file of one"):
+        store.load()
+
+
 @pytest.mark.parametrize("bad", BAD_STORES.values(), ids=BAD_STORES)
 def test_a_bad_store_with_no_good_copy_is_set_aside_and_one_starts_anew(store, path, make_record, bad):
     path.write_bytes(bad)
