@@ -16,6 +16,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Index, Seen, of_chance
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
 from stillcal.calib_core.diagnosis.noise.line_estimate import CLOCK, SIGNIFICANT, peak, vibration
 from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, lines
 from stillcal.calib_core.diagnosis.noise.steady_segments import Places, Stretches
@@ -81,7 +82,8 @@ class _Rests:
         """Lay the stretches where they were recorded."""
         first = np.searchsorted(places.t, seen.span[:, 0])
         power = np.median(seen.power[:, 1:], axis=1) / np.log(2.0)
-        noise = np.maximum(power / (seen.taper**2).sum(axis=1)[:, None], 1e-300)
+        least = max(SILENT * float(seen.power.max()), 1e-300)
+        noise = np.maximum(power, least) / (seen.taper**2).sum(axis=1)[:, None]
         weight = np.median(noise, axis=0) / noise
         series = np.zeros((places.t.size, 3))
         for row, (a, n) in enumerate(zip(first, seen.length, strict=True)):
@@ -110,7 +112,8 @@ def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: floa
     off = peak(grid, whole(grid).sum(axis=1))
     frequency, power = near + off, whole(np.array([off]))[0]
     aside = np.arange(OWN + 1, OWN + ASIDE + 1) * step
-    floor = whole(off + np.concatenate([-aside, aside])).mean(axis=0)
+    about = whole(off + np.concatenate([-aside, aside])).mean(axis=0)
+    floor = np.maximum(about, max(SILENT * float(power.max()), 1e-300))
     length = (rests.weight * (seen.taper**2).sum(axis=1)[:, None]).sum(axis=0) / 2.0
     amplitude, scatter = np.sqrt(np.maximum(power - floor, 0.0)) / length, np.sqrt(floor / 2.0) / length
     axes = [a for a in range(3) if amplitude[a] > SIGNIFICANT * scatter[a]] or [int(np.argmax(amplitude))]
