@@ -197,7 +197,7 @@ def test_a_gyroscope_says_what_slow_rotation_may_hide_and_whether_it_is_provisio
             watch = [STILLCAL, "watch", "--once", "--socket", str(folder / "socket")]
             said = await asyncio.to_thread(subprocess.run, watch, capture_output=True, text=True)
             assert "provisional" in said.stdout and "no calibration yet" in said.stdout
-            assert "± leaves out slow rotation at rest: up to 5 °/h more" in said.stdout
+            assert "± without slow rotation at rest: up to 5 °/h" in said.stdout
 
     within_reason(test())
 
