@@ -66,7 +66,10 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
         if (limit := _limit(samples.xyz[:, a], float(noise[a]), LEAST_LIMIT[sensor])) is not None
         and (not declared or limit.value < SHORT_OF_RANGE * declared)
     }
-    limits |= _common(samples.xyz, declared) if len(limits) < len(AXES) else {}
+    for a, limit in _common(samples.xyz, declared).items():
+        # A top that looks flat is no evidence by itself where its axis was there once or twice.
+        if a not in limits or limits[a].nats < limit.nats:
+            limits[a] = limit
     if not limits:
         return None
     axes = list(limits)

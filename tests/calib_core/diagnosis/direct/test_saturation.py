@@ -78,3 +78,24 @@ def test_three_fast_visits_to_a_limit_show_it(step: float, seed: int) -> None:
     assert found is not None and found.axes == ["z"]
     assert found.parameters["limit"].value == pytest.approx(2.0, abs=3e-3)
     assert saturation(spun(np.inf, step, seed), "gyro", noise, None) is None
+
+
+def turned_about_each_axis(limit: float) -> Samples:
+    """Return a gyroscope that is turned once about each axis and once back, at 1.5 to 1.7 rad/s."""
+    rng, t = np.random.default_rng(5), np.arange(0.0, 120.0, 0.02)
+    rate = 5e-4 * rng.standard_normal((t.size, 3))
+    for k, (middle, most) in enumerate(
+        ((15, 1.55), (30, -1.6), (50, 1.65), (70, -1.7), (90, 1.6), (105, -1.5))
+    ):
+        rate[:, k // 2] += most * np.exp(-(((t - middle) / 0.6) ** 2))
+    step = 3.3e-5
+    return Samples.checked(Sensor.GYROSCOPE, t, np.round(np.clip(rate, -limit, limit) / step) * step)
+
+
+def test_each_end_of_the_axes_that_stops_at_one_value_counts_though_each_was_there_once() -> None:
+    """One visit is no evidence on its axis, though its top looks flat; six ends do not agree by chance."""
+    noise = np.full(3, 5e-4)
+    found = saturation(turned_about_each_axis(1.4), "gyro", noise, None)
+    assert found is not None and found.axes == ["x", "y", "z"]
+    assert found.parameters["limit"].value == pytest.approx(1.4, abs=1e-4)
+    assert saturation(turned_about_each_axis(np.inf), "gyro", noise, None) is None
