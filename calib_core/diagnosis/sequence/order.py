@@ -1,4 +1,4 @@
-"""Samples in the wrong order: two exchanged, a stretch that runs backwards, or two stretches exchanged.
+"""Samples in the wrong order: two exchanged, stretches that run backwards, or two stretches exchanged.
 
 Put back, they follow their neighbours again on all axes. An order that is right has no reason to look
 better in another: the power that neighbours leave about such a place has six independent numbers and more,
@@ -50,11 +50,15 @@ Place = tuple[int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Misplaced:
-    """Rows `first` to `last` (not included), which follow their neighbours in another order; nats for it."""
+    """Rows `first` to `last` (not included), which follow their neighbours in another order; nats for it.
+
+    stretches: how many of one length they are, each in the wrong order.
+    """
 
     first: int
     last: int
     nats: float
+    stretches: int = 1
 
 
 def wrong_order(samples: Samples, sensor: str) -> Finding | None:
@@ -65,15 +69,14 @@ def wrong_order(samples: Samples, sensor: str) -> Finding | None:
     if not found:
         return None
     t, count = samples.t, float(sum(one.last - one.first for one in found))
-    longest = max(one.last - one.first for one in found)
+    places = sum(one.stretches for one in found)
+    longest = max((one.last - one.first) // one.stretches for one in found)
     where = Where(float(t[found[0].first]), float(t[found[-1].last - 1]), (0.0, 0.0), DRIVER)
     say = (
-        f"Samples of the {NAME[sensor]} are in the wrong order at {len(found)} places of motion, up to"
+        f"Samples of the {NAME[sensor]} are in the wrong order at {places} places of motion, up to"
         f" {longest} at a time: put back, they follow their neighbours."
     )
-    sizes = sized(
-        {"places": (float(len(found)), "1"), "samples": (count, "1"), "longest": (float(longest), "1")}
-    )
+    sizes = sized({"places": (float(places), "1"), "samples": (count, "1"), "longest": (float(longest), "1")})
     seen = Seen(sum(one.nats for one in found))
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=say, seen=seen)
 
@@ -85,7 +88,8 @@ def misplaced(xyz: Array) -> list[Misplaced]:
     tries = 2.0 * len(moved) * LONGEST
     turned = _better(moved, _backwards(ends), tries)
     crossed = _better(moved, _exchanged_stretches(ends), tries * LONGEST)
-    every = sorted([*_exchanged(moved), *turned, *crossed], key=lambda one: -one.nats)
+    batches = _batches(moved, ends, tries * LONGEST)
+    every = sorted([*_exchanged(moved), *turned, *crossed, *batches], key=lambda one: -one.nats)
     taken = np.zeros(len(xyz), dtype=np.bool_)
     kept = []
     for one in every:
@@ -145,6 +149,42 @@ def _backwards(ends: Array) -> Iterator[Place]:
             for first, last in product((begin, begin + 1), (end, end + 1)):
                 if last - first >= 3:
                     yield int(first), int(last - first), 0
+
+
+def _batches(moved: Array, ends: Array, tries: float) -> list[Misplaced]:
+    """Return batches of one length, one after the other, that all run backwards: a FIFO read newest first.
+
+    One that is put back alone still misses those beside it. However many they are, the residuals count as
+    those about one batch: noise has no more reason to fall with many.
+    """
+    found, borders = [], np.unique(np.concatenate([ends, ends + 1]))
+    for length in range(3, LONGEST + 1):
+        changed = len(_across([0, length]))
+        for first, count in _runs(borders, length):
+            rows = slice(first - 2 * REACH, first + count * length + 2 * REACH)
+            if count < 2 or rows.start < 0 or rows.stop > len(moved):
+                continue
+            part = moved[rows]
+            batches = part[2 * REACH : -2 * REACH].reshape(count, length, -1)
+            other = part.copy()
+            other[2 * REACH : -2 * REACH] = batches[:, ::-1].reshape(count * length, -1)
+            across = _across([k * length for k in range(count + 1)])
+            power = [changed * (residual(x)[across] ** 2).sum(axis=1).mean() for x in (part, other)]
+            nats = float(_nats(power[0], power[1], moved.shape[1], changed, tries))
+            if nats > 0.0:
+                found.append(Misplaced(first, first + count * length, nats, count))
+    return found
+
+
+def _runs(borders: Array, length: int) -> Iterator[tuple[int, int]]:
+    """Return first rows and counts of batches of a length between successive borders."""
+    within = set(borders.tolist())
+    for first in sorted(within):
+        if first - length not in within:
+            last = first
+            while last + length in within:
+                last += length
+            yield first, (last - first) // length
 
 
 def _exchanged_stretches(ends: Array) -> Iterator[Place]:

@@ -148,6 +148,16 @@ def test_places_and_longest_are_told() -> None:
     assert found.where.t_start == pytest.approx(900 / RATE)
 
 
+def test_batches_that_all_run_backwards_are_found_though_each_still_misses_the_next() -> None:
+    """A FIFO of 16 samples that is read newest first, all along."""
+    codes = turning(5)
+    assert said(codes) == []
+    codes = codes[: len(codes) // 16 * 16].reshape(-1, 16, 3)[:, ::-1].reshape(-1, 3)
+    (found,) = (f for f in said(codes) if f.where.driver == "order of the samples")
+    assert found.parameters["longest"].value == 16.0
+    assert float(found.parameters["places"].value) > 20.0
+
+
 def finding(effect: str, driver: str, sensor: str = "gyro") -> Finding:
     where = Where(0.0, 1.0, (0.0, 1.0), driver)
     made = direct_finding(effect, sensor, [0], where, {}, statement="", seen=Seen(99.0))
