@@ -27,6 +27,18 @@ def test_a_knock_ends_a_rest_and_is_in_no_bin() -> None:
     assert cut_up.vibration.max() < 1.5 * np.median(cut_up.vibration)
 
 
+def test_bins_that_are_shaken_are_as_uncertain_as_they_are_and_the_others_no_more() -> None:
+    """An eighth is shaken four times as much: the mean of all would make its means too sure by half."""
+    shaken = resting()
+    shaken[12_000:14_000] += np.random.default_rng(2).normal(0.0, 0.005 * np.sqrt(15.0), (2000, 3))
+    seen = bins(shaken)
+    louder = seen.vibration / np.median(seen.vibration)
+    assert (louder > 12.0).sum() >= 3
+    for which, noise in ((louder > 12.0, 0.02), (louder < 2.0, 0.005)):
+        expected = noise**2 / 50.0 / seen.duration[which, None]
+        assert (seen.force_variance[which] / expected).mean() == pytest.approx(1.0, rel=0.25)
+
+
 def test_a_spike_of_one_sensor_is_in_no_mean_and_ends_no_rest() -> None:
     rng, force, t = np.random.default_rng(2), resting(), np.arange(N) / 50.0
     quiet = rng.normal(0, 1e-3, (N, 3))
