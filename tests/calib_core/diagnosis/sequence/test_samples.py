@@ -149,13 +149,13 @@ def test_places_and_longest_are_told() -> None:
 
 
 def test_batches_that_all_run_backwards_are_found_though_each_still_misses_the_next() -> None:
-    """A FIFO of 16 samples that is read newest first, all along."""
+    """A FIFO of 16 samples that is read newest first, all along. Where the rate is steady no order tells."""
     codes = turning(5)
     assert said(codes) == []
     codes = codes[: len(codes) // 16 * 16].reshape(-1, 16, 3)[:, ::-1].reshape(-1, 3)
     (found,) = (f for f in said(codes) if f.where.driver == "order of the samples")
     assert found.parameters["longest"].value == 16.0
-    assert float(found.parameters["places"].value) > 20.0
+    assert float(found.parameters["places"].value) >= 8.0
 
 
 def finding(effect: str, driver: str, sensor: str = "gyro") -> Finding:
