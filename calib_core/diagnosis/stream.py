@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwid
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples
@@ -138,7 +139,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        found += stream.lines
+        found += [*stream.lines, steady_period(samples, sensor)]
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])

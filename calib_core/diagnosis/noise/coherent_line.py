@@ -30,17 +30,17 @@ FINE = 0.1
 
 
 def coherent_line(
-    places: Places, seen: Stretches, sensor: str, lowest: float, known: Sequence[float]
+    places: Places, seen: Stretches, sensor: str, between: tuple[float, float], known: Sequence[float]
 ) -> Finding | None:
     """Find the clearest line that keeps its phase; None where chance makes one as clear.
 
     seen: the stretches of these places, without the lines that are `known`, Hz, near which none is sought;
-    lowest: Hz, below which none is.
+    between: Hz, outside which none is.
     """
     rests = _Rests.of(places, seen)
     told = np.stack([lines(axis) for axis in rests.series.T], axis=1)
     f = np.arange(len(told)) * (rests.rate / (2 * (len(told) - 1)))
-    free = (f > lowest) & (f < NEVER * rests.rate)
+    free = (f > between[0]) & (f < min(between[1], NEVER * rests.rate))
     for frequency in known:
         free &= np.abs(f - frequency) > OWN * float(seen.f[1])
     free[:ASIDE] = free[-ASIDE:] = False
@@ -48,6 +48,17 @@ def coherent_line(
         return None
     nats, k = _clearest(told, np.flatnonzero(free))
     return None if k is None else _stated(sensor, rests, seen, float(f[k]), nats)
+
+
+def in_step(places: Places, seen: Stretches, line: Finding) -> float:
+    """Return how much of a line's power its phase foretells, at most: 1 where it keeps it.
+
+    line: a `coherent_line` of these places. What noise adds to its power is within two standard deviations.
+    """
+    rests, frequency = _Rests.of(places, seen), float(np.asarray(line.parameters["frequency"].value))
+    power = np.abs(rests.sums(seen, frequency)) ** 2 / rests.of_sums(seen)
+    above, by_chance = float((power - 1.0).sum()), 2.0 * float(np.sqrt(power.size))
+    return ((line.evidence.heldout_log_score_gain or 0.0) + by_chance) / max(above, by_chance)
 
 
 def _clearest(told: Array, at: Index) -> tuple[float, int | None]:
@@ -98,6 +109,10 @@ class _Rests:
         there = np.einsum("n,sn,sna->sa", turned, seen.taper, seen.tapered)
         return np.asarray(np.exp(by_place * self.first)[:, None] * there)
 
+    def of_sums(self, seen: Stretches) -> Array:
+        """Return the variance (S, 3) that noise has in these sums."""
+        return np.asarray(self.noise * (seen.taper**4).sum(axis=1)[:, None])
+
 
 def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: float) -> Finding | None:
     """State the line near a frequency, Hz."""
@@ -128,7 +143,7 @@ def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: floa
 def _left_out(sums: Array, rests: _Rests, seen: Stretches) -> HeldOut:
     """Predict the sums (S, 3) of stretches left out by the line that the others have."""
     length = (seen.taper**2).sum(axis=1)[:, None] / 2.0
-    noise = rests.noise * (seen.taper**4).sum(axis=1)[:, None]
+    noise = rests.of_sums(seen)
     fold, gain = blocks(len(sums)), 0.0
     before, after = [], []
     for k in np.unique(fold):

@@ -96,7 +96,7 @@ def _coherent(places: Places, sensor: str, found: Sequence[Finding]) -> list[Fin
     tried: list[float] = []
     left = seen
     while seen is not None and left is not None and len(steady) < MOST_LINES and len(tried) < MOST_TRIED:
-        one = coherent_line(places, left, sensor, LEAST_LINE_HZ, tried)
+        one = coherent_line(places, left, sensor, (LEAST_LINE_HZ, np.inf), tried)
         if one is None:
             break
         tried.append(middle_hz(one))

@@ -1,0 +1,67 @@
+"""What comes again with a steady period of a quarter of a second to some seconds, all along the recording.
+
+It is slower than vibrations are sought and quicker than bins tell: a radio that sends, a display that is
+refreshed, a supply that is switched. Bodies sway at such frequencies too, but keep no phase.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding
+from stillcal.calib_core.diagnosis.noise.coherent_line import coherent_line, in_step
+from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.spectral_line import LEAST_LINE_HZ, MOST_LINES, NEAR, SHORT
+from stillcal.calib_core.diagnosis.noise.steady_segments import Places, stretches
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.streams.samples import Samples
+
+DRIVER = "a steady period"
+
+LEAST_CYCLES = 3.0
+"""In a stretch: of slower ones its mean, which is taken off, and its taper leave little."""
+
+LEAST_KEPT = 200.0
+"""Cycles in the recording, at least. From one to the next breaths differ by a tenth and heartbeats by a
+twentieth, so that these are half a cycle off after 25 and 100; in a short recording they keep their phase."""
+
+IN_STEP = 0.9
+"""Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
+exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
+
+
+def steady_period(samples: Samples, sensor: str) -> Finding | None:
+    """State, without a name, the lines below those of vibrations that keep their phase; None without one."""
+    places = Places.of(samples)
+    seen = stretches(places, sensor, SHORT)
+    if places is None or seen is None:
+        return None
+    lowest = max(LEAST_CYCLES / SHORT, LEAST_KEPT / (seen.whole[1] - seen.whole[0]))
+    found: list[Finding] = []
+    left = seen
+    while len(found) < MOST_LINES:
+        known = [middle_hz(f) for f in found]
+        one = coherent_line(places, left, sensor, (lowest, LEAST_LINE_HZ), known)
+        if one is None:
+            break
+        if in_step(places, left, one) < IN_STEP:
+            break
+        found.append(one)
+        left = left.without(middle_hz(one), NEAR / SHORT)
+    return _unknown(found) if found else None
+
+
+def _unknown(lines: list[Finding]) -> Finding:
+    """Return the clearest line, the first, without its name; the others may be its overtones."""
+    first = lines[0]
+    size = np.atleast_1d(np.asarray(first.parameters["amplitude"].value, dtype=np.float64))
+    sizes = ", ".join(f"{axis} {size['xyz'.index(axis)]:.3g}" for axis in first.axes)
+    beside = " and ".join(f"{middle_hz(line):.4g}" for line in lines[1:])
+    say = (
+        f"The {NAME[first.sensor]}'s data at rest rise and fall every {1.0 / middle_hz(first):.4g} s"
+        f" ({middle_hz(first):.4g} Hz), amplitude {sizes} {UNIT[first.sensor]}, and keep in step all along,"
+        f" as no body does{f'; so they do at {beside} Hz' if beside else ''}."
+    )
+    return replace(first, effect="unknown", where=replace(first.where, driver=DRIVER), statement=say)
