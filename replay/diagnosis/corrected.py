@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, covariate_effects
 from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
-from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
@@ -405,7 +405,12 @@ def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Arra
 
 
 def _missing(one: Discrepancy) -> Array:
-    """Return by how much the one-sided power density (3,) of the recording is above the simulation's."""
+    """Return by how much the one-sided power density (3,) of the recording is above the simulation's.
+
+    On an axis on which they do not differ, chance alone sets it below: nothing is missing there.
+    """
     assert one.difference is not None, "noise is compared as a density"
     recorded, simulated = np.exp(one.difference.recorded.value), np.exp(one.difference.simulated.value)
-    return np.asarray(recorded**2 - simulated**2)
+    missing = recorded**2 - simulated**2
+    alike = [axis not in one.axes for axis in AXES]
+    return np.asarray(np.where(alike, np.maximum(missing, 0.0), missing))

@@ -203,3 +203,27 @@ def test_a_vibration_leaves_the_means_of_a_long_simulation_and_adds_to_their_var
     force, there = done.overview.force, (seconds.force.t > 30.0) & (seconds.force.t < 60.0)
     np.testing.assert_array_equal(force.mean, seconds.force.mean)
     np.testing.assert_allclose(force.variance[:, 2], 0.5 * 0.02**2 * there)
+
+
+def louder(recorded: list[float], axes: list[str]) -> Discrepancy:
+    """Return white noise of which the simulation has 0.002 m/s^2/sqrt(Hz) on each axis."""
+    where = Where(0.0, 1.0, (0.0, 25.0), "noise at rest")
+    had = [
+        Quantity(
+            "noise_level", "accel", (Part("density", "m/s^2/sqrt(Hz)", 3),), np.log(np.array(values)),
+            1e-6 * np.eye(3), np.full(3, 1.0), np.full(3, 0.01), np.arange(3), logarithmic=True, where=where,
+        )
+        for values in (recorded, [2e-3, 2e-3, 2e-3])
+    ]  # fmt: skip
+    return Discrepancy("noise_level", "accel", axes, where, "too_small", 1.0, 50.0, subtract(*had))
+
+
+def test_noise_is_added_to_one_axis_though_by_chance_another_has_less() -> None:
+    recording = turned(2.0)
+    done = correct(recording, [louder([1.999e-3, 4e-3, 2.001e-3], ["y"])], {})
+    assert done.left_out == []
+    added = (done.recording.accelerometer.xyz - recording.accelerometer.xyz).std(axis=0)
+    rate = (len(recording.accelerometer) - 1) / np.ptp(recording.accelerometer.t)
+    assert added[1] == pytest.approx(np.sqrt((4e-3**2 - 2e-3**2) * rate / 2.0), rel=0.1)
+    assert added[0] == 0.0 and added[2] < 0.05 * added[1]
+    assert correct(recording, [louder([1e-3, 4e-3, 2e-3], ["x", "y"])], {}).left_out == ["noise_level"]
