@@ -126,12 +126,22 @@ def linear_quantities(
     none. An effect is missing where the recording lacks what drives it, all of them where it has too few
     static bins.
     """
-    out: dict[tuple[str, str], Quantity] = {}
+    every = every_linear_quantity(exam, wanted, reference_c, about)
+    return {(q.effect, q.sensor): q for q in every}
+
+
+def every_linear_quantity(
+    exam: Examination,
+    wanted: Sequence[Wanted],
+    reference_c: Mapping[str, float],
+    about: Mapping[str, float] | None = None,
+) -> list[Quantity]:
+    """Return what `linear_quantities` does, also of effects that come more than once, such as steps."""
+    out: list[Quantity] = []
     for scene in exam.every_scene:
         if len(scene.bins) >= thresholds.LEAST_BINS:
             own = [w for w in wanted if w.kind == kind_of(scene)]
-            for quantity in _fitted(exam, scene, own, reference_c.get(scene.sensor), about or {}):
-                out[quantity.effect, quantity.sensor] = quantity
+            out += _fitted(exam, scene, own, reference_c.get(scene.sensor), about or {})
     return out
 
 
@@ -192,7 +202,10 @@ def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:
 
 
 def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
-    """Return the effect as this recording would have it, at the nearest fine point; None if it cannot."""
+    """Return the effect as this recording would have it, at the nearest fine point; None if it cannot.
+
+    What comes at a moment is taken at that moment.
+    """
 
     def nearest(points: Sequence[Hypothesis]) -> Hypothesis:
         return min(points, key=lambda h: _apart(h.grid, wanted.grid))
@@ -201,6 +214,8 @@ def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
         same = (wanted.kind, effect.name, effect.follows) == wanted.key
         if not same or not _of_one_form(effect, wanted.hypothesis.effect):
             continue
+        if effect.recurs:
+            return scene.measured(effect, wanted.hypothesis.grid)
         if found := scene.hypotheses(effect):
             return nearest(scene.finer(nearest(found)))
     return None

@@ -91,17 +91,18 @@ class Scene:
 
     def finer(self, hypothesis: Hypothesis) -> list[Hypothesis]:
         """Return a hypothesis on a finer grid about its own point; itself where there is no grid."""
-        effect = hypothesis.effect
-        grids = effect.finer(self.moments, hypothesis.grid)
-        # Where a gyroscope told that the phone was not nudged, a bias shows across gravity too.
-        blind = effect.blind if self.bins.pose is None else ()
-        found = [
-            Hypothesis(
-                effect, g, self.columns_of(effect.response(self.moments, g), blind), hypothesis.multiplicity
-            )
-            for g in grids
-        ]
+        grids = hypothesis.effect.finer(self.moments, hypothesis.grid)
+        found = [self.measured(hypothesis.effect, g, hypothesis.multiplicity) for g in grids]
         return found or [hypothesis]
+
+    def measured(self, effect: Effect, grid: Grid, multiplicity: float = 0) -> Hypothesis:
+        """Return an effect at one grid point, also in views in which it is not sought.
+
+        Where a gyroscope told that the phone was not nudged, a bias shows across gravity too.
+        """
+        blind = effect.blind if self.bins.pose is None else ()
+        columns = self.columns_of(effect.response(self.moments, grid), blind)
+        return Hypothesis(effect, grid, columns, multiplicity)
 
     def companions(self, effect: Effect) -> list[Hypothesis]:
         """Return what else the cause of an effect may do."""

@@ -29,16 +29,20 @@ def compare_in_pair(exam: Examination, motion: Alignment | None = None) -> Compa
     """
     found = compare_with_ideal(exam, samples=motion is None)
     found = _only_sought(found, motion, gyroscope=exam.gyroscope is not None)
-    measured = [q for scene in exam.scenes for q in measured_in_pair(exam, scene)]
-    measured += [] if motion is None else motion.quantities
-    named = {(d.effect, d.sensor): d for d in found.discrepancies if d.effect != "unknown"}
-    differences = [subtract(q, _none_of(q)) for q in measured]
-    fitted = {(d.recorded.effect, d.recorded.sensor): d for d in differences}
-    out = [_sized(d, fitted.get(key)) for key, d in named.items()]
+    measured = [measured_in_pair(exam, scene) for scene in exam.scenes]
+    constants = [q for of_scene, _ in measured for q in of_scene]
+    constants += [] if motion is None else motion.quantities
+    by_key = {(q.effect, q.sensor): subtract(q, _none_of(q)) for q in constants}
+    by_finding = {id(f): subtract(q, _none_of(q)) for _, effects in measured for f, q in effects}
+    out = [
+        _sized(d, by_finding.get(id(d.recorded), by_key.get((d.effect, d.sensor))))
+        for d in found.discrepancies
+        if d.effect != "unknown"
+    ]
     out += [d for d in found.discrepancies if d.effect == "unknown"]
     if motion is None:
         return replace(found, discrepancies=out)
-    pairs = [d for key, d in fitted.items() if key[0].endswith(("_bias", "_scale"))]
+    pairs = [d for (effect, _), d in by_key.items() if effect.endswith(("_bias", "_scale"))]
     count = found.comparisons + len(pairs)
     pairs = weighed(pairs, max(count, 1))
     out += [_of_constant(d) for d in pairs if d.probability >= CERTAIN]

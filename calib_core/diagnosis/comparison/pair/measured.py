@@ -16,7 +16,6 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     RATE_BIAS_SIZE,
     effect_quantity,
     rows_of,
-    transferable,
 )
 from stillcal.calib_core.diagnosis.comparison.pair.scenes import GAIN_SIZES
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
@@ -24,31 +23,44 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
-from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
+from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 
 
-def measured_in_pair(exam: Examination, scene: Scene) -> list[Quantity]:
-    """Return bias, scale and every effect found in a scene, of the one sensor less the other."""
+def measured_in_pair(
+    exam: Examination, scene: Scene
+) -> tuple[list[Quantity], list[tuple[Finding, Quantity]]]:
+    """Return bias and scale, and every named effect found in a scene with its finding.
+
+    They are of the one sensor less the other. An effect may come twice: each step has its own moment.
+    """
     every, value, covariance = _fitted(exam, scene)
     where = Where(*scene.bins.span, SLOW_BAND, "nothing")
     reference = scene.moments.history.reference_c
     at = {} if reference is None else {"temperature_c": reference}
     # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
     warm = at if scene.sensor == "accel" else {}
-    out = [
+    constants = [
         _bias(scene.sensor, value, covariance, where, at),
         _scale(scene.sensor, value, covariance, where, warm),
     ]
-    for hypothesis, rows in zip(every[1:], rows_of(every)[1:], strict=True):
-        if transferable(hypothesis):
+    out = []
+    findings = [s.finding for s in _found(exam, scene)]
+    for finding, hypothesis, rows in zip(findings, every[1:], rows_of(every)[1:], strict=True):
+        if hypothesis.effect.name != "unknown":
             one = effect_quantity(scene.bins.span, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
             warm = at if one.effect.endswith("_temperature") else {}
-            out.append(replace(one, reference={**one.reference, **warm}))
-    return out
+            out.append((finding, replace(one, reference={**one.reference, **warm})))
+    return constants, out
+
+
+def _found(exam: Examination, scene: Scene) -> list[Stated]:
+    """Return what was found in a scene and has columns there."""
+    return [s for s in exam.statements if s.scene is scene and s.hypothesis is not None]
 
 
 def taken_out(exam: Examination, scene: Scene, names: set[tuple[str, str]]) -> Scene:
@@ -72,7 +84,7 @@ def _fitted(exam: Examination, scene: Scene) -> tuple[list[Hypothesis], Array, A
     """Fit constants and everything found; return hypotheses, values (k,) and covariance, in their units."""
     bare = tuple(replace(v, baseline=v.baseline[:, :, :0], absorbed=None) for v in scene.views)
     free = replace(scene, views=bare)
-    own = [s.hypothesis for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+    own = [s.hypothesis for s in _found(exam, scene) if s.hypothesis is not None]
     every = [_constants(scene), *own]
     whole = together(scene, every)
     fit = fit_hypothesis(reduce_scene(free, [whole]), 0)

@@ -14,8 +14,13 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.assumed_drivers import warmed
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities, wanted_of
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Quantity
+from stillcal.calib_core.diagnosis.comparison.linear import (
+    Wanted,
+    every_linear_quantity,
+    kind_of,
+    wanted_of,
+)
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
@@ -31,12 +36,25 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
     exam: of the pair; simulated: the simulation by itself, not searched. Where it does not show the effect
     beyond chance, or cannot, it lacks what it differs by, as before.
     """
-    wanted = [*wanted_of(exam), *_of_turns(found)]
+    wanted = [*wanted_of(exam), *_at_moments(exam), *_of_turns(found)]
     no_thermometer = simulated.bins.temperature is None and exam.bins.temperature is not None
     simulated = warmed(simulated, exam.bins) if no_thermometer and len(simulated.bins) else simulated
     differences = [d.difference for d in found.discrepancies if d.difference is not None]
-    own = linear_quantities(simulated, wanted, _references(differences)) | delay_quantity(simulated)
+    own = every_linear_quantity(simulated, wanted, _references(differences))
+    own += delay_quantity(simulated).values()
     return replace(found, discrepancies=[_standing(d, own) for d in found.discrepancies])
+
+
+def _at_moments(exam: Examination) -> list[Wanted]:
+    """Return the effects that came at a moment, as steps do: a simulation of the motion may have the same."""
+    return [
+        Wanted(kind_of(s.scene), s.hypothesis, s.hypothesis.grid)
+        for s in exam.statements
+        if s.hypothesis is not None
+        and s.scene is not None
+        and s.hypothesis.effect.recurs
+        and s.hypothesis.effect.name != "unknown"
+    ]
 
 
 def _of_turns(found: Comparison) -> list[Wanted]:
@@ -55,10 +73,13 @@ def _references(differences: Sequence[Difference]) -> dict[str, float]:
     return {d.recorded.sensor: d.recorded.reference[at] for d in differences if at in d.recorded.reference}
 
 
-def _standing(one: Discrepancy, own: dict[Key, Quantity]) -> Discrepancy:
+def _standing(one: Discrepancy, own: Sequence[Quantity]) -> Discrepancy:
     """Return a difference beside what the simulation itself has, if it has anything."""
-    apart, simulated = one.difference, own.get((one.effect, one.sensor))
-    if apart is None or simulated is None:
+    apart = one.difference
+    if apart is None:
+        return one
+    simulated = next((q for q in reversed(own) if _identity(q) == _identity(apart.recorded)), None)
+    if simulated is None:
         return one
     value, covariance = _as_stated(simulated, apart)
     had = replace(apart.recorded, value=value, covariance=covariance)
@@ -68,6 +89,11 @@ def _standing(one: Discrepancy, own: dict[Key, Quantity]) -> Discrepancy:
     more = replace(had, value=both, covariance=covariance + apart.covariance)
     whole = replace(apart, recorded=more, simulated=had, value=both - value)
     return replace(one, relation=whole.relation(), difference=whole)
+
+
+def _identity(one: Quantity) -> tuple[str, str, float | None]:
+    """Return effect, sensor and, of what came at a moment, that moment, s: what tells quantities apart."""
+    return one.effect, one.sensor, one.reference.get("t_start")
 
 
 def _scaled(own: Array, apart: Array) -> Array:
