@@ -64,7 +64,9 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     beside = len(list(slow_effects(recorded)))
     values = compare_samples(exams, names, beside)
     own, other, unsure = _alike(recording, simulation, exams, values)
-    motion = align(readings_of(own), mean_readings(own, [other]), unsure)
+    still = simulated.bins.rate
+    at_rest = None if still is None or not len(still) else np.median(still, axis=0)
+    motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest)
     true = motion.readings
     bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0, motion.added)
     exam = examined_in_pair(recorded, bins, scenes, motion.found, lambda done: show_stage(READINGS, done))
@@ -77,7 +79,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
         in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
         played = [*values.discrepancies, *in_motion]
         made = correct(simulation, played, {})
-        left = align(readings_of(recording), mean_readings(recording, [made.recording]), unsure)
+        left = align(readings_of(recording), mean_readings(recording, [made.recording]), unsure, at_rest)
         after = without_found(exam, slow, left.found, left)
         measured = _measured(made.recording, simulated, played)
         after = after.and_of(compare_samples((recorded, measured), names, beside))

@@ -130,10 +130,11 @@ class Alignment:
     sought: frozenset[Key]
 
 
-def align(own: Readings, other: Readings, unsure: float = 0.0) -> Alignment:
+def align(own: Readings, other: Readings, unsure: float = 0.0, at_rest: Array | None = None) -> Alignment:
     """Put into what the other sensor reads what the one shows besides in motion.
 
-    unsure: s, a standard error that a delay between the sensors has besides.
+    unsure: s, a standard error that a delay between the sensors has besides. at_rest: (3,) rad/s, what the
+    other gyroscope reads where nothing turns, which drives no effect; None where that is not known.
     """
     force, rate = late(own.force, other.force, "accel"), None
     if own.rate is not None and other.rate is not None:
@@ -145,9 +146,9 @@ def align(own: Readings, other: Readings, unsure: float = 0.0) -> Alignment:
         delays = delays_between(force, rate, own.force, unsure)
         whole = replace(whole, found=[Stated(f) for f in delays], sought=frozenset({(DELAY, "timing")}))
     if force is not None:
-        whole = _with_effects(whole, own.force, true, force)
+        whole = _with_effects(whole, own.force, true, force, at_rest)
     if rate is not None and own.rate is not None:
-        whole = _with_effects(whole, own.rate, true, rate)
+        whole = _with_effects(whole, own.rate, true, rate, at_rest)
     return whole
 
 
@@ -155,12 +156,14 @@ def _nothing(samples: Samples) -> Samples:
     return replace(samples, xyz=frozen(np.zeros_like(samples.xyz)))
 
 
-def _with_effects(before: Alignment, own: Samples, true: Readings, seen: Late) -> Alignment:
+def _with_effects(
+    before: Alignment, own: Samples, true: Readings, seen: Late, at_rest: Array | None
+) -> Alignment:
     """Return an alignment with the effects that the turns of one sensor show besides."""
     of_force = own.sensor is Sensor.ACCELEROMETER
     reads = true.force if of_force else true.rate
     assert reads is not None, "where a delay was measured there are readings"
-    turns = _Turns(own, reads, seen.pieces, _drivers(own, true))
+    turns = _Turns(own, reads, seen.pieces, _drivers(own, _turning(true, at_rest)))
     span = float(own.t[0]), float(own.t[-1])
     every = [Arm()] if of_force else effects_of("gyro", in_turns=True)
     effects = [e for e in every if e.points(turns.drivers)]
@@ -175,6 +178,13 @@ def _with_effects(before: Alignment, own: Samples, true: Readings, seen: Late) -
         [*before.quantities, *(o.quantity(span, reference) for o, f in shown if f.effect != "unknown")],
         before.sought | {(e.name, e.sensor) for e in effects},
     )
+
+
+def _turning(true: Readings, at_rest: Array | None) -> Readings:
+    """Return readings without what the gyroscope reads at rest: its cube would hold a square of the rate."""
+    if true.rate is None or at_rest is None:
+        return true
+    return replace(true, rate=replace(true.rate, xyz=frozen(true.rate.xyz - at_rest)))
 
 
 def _drivers(own: Samples, true: Readings) -> Moments:

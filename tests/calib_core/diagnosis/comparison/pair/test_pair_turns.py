@@ -67,3 +67,16 @@ def test_each_is_found_alone_with_its_size_and_taken_out(
     own = turned(1, flaw)
     assert align(readings_of(own), shown.readings).found == []
     assert [q.effect for q in shown.quantities] == ([] if effect == "unknown" else [effect])
+
+
+def test_a_bias_of_both_gyroscopes_makes_no_square_of_a_cube() -> None:
+    """(w + b)^3 holds 3 b w^2: the power is that of the rate without what is read at rest."""
+    bias = np.array([0.05, -0.03, 0.04])
+
+    def with_bias(force: Array, rate: Array) -> tuple[Array, Array]:
+        return cubed(force, rate)[0], cubed(force, rate)[1] + bias
+
+    own, other = turned(1, with_bias), turned(101, lambda force, rate: (force, rate + bias))
+    (one,) = align(readings_of(own), mean_readings(own, [other]), 0.0, bias).quantities
+    assert one.effect == "gyro_nonlinearity"
+    np.testing.assert_array_less(np.abs(one.value[:3]), 3.0 * one.sigma[:3] + 1e-5)
