@@ -357,6 +357,8 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
 
 def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, Course]:
     """Return further columns of a recording, by the time that its samples have."""
+    if not path.is_file():
+        raise TraceError(path, "--covariate needs a CSV file, to read it again", "save it as a file first")
     return read_covariates(path, names, reading.open(path).first_file.time)
 
 

@@ -33,8 +33,6 @@ def read_covariates(path: Path, names: Sequence[str], time: TimeMap = BY_T) -> d
     time: the column of the stamps and its unit, as the samples' reader has it. Raises TraceError where the
     file is no CSV with these columns, a column holds no numbers, or a cell of one that does is none.
     """
-    if not path.is_file():
-        raise TraceError(path, "--covariate needs a CSV file, to read it again", "save it as a file first")
     try:
         with _opened(path) as lines:
             return _columns(path, csv.reader(lines), names, time)

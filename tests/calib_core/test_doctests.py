@@ -18,8 +18,8 @@ MODULES = {
     "stillcal.calib_core.gyroscope.bias": 1,
     "stillcal.calib_core.gyroscope.fit": 1,
     "stillcal.daemon.sources.sysfs": 1,
-    "stillcal.daemon.cli.watch.sentences": 1,
     "stillcal.daemon.service.saved_state": 1,
+    "stillcal.daemon.system.plain_words": 1,
     "stillcal.daemon.system.printable": 2,
     "stillcal.daemon.system.requirements": 1,
 }

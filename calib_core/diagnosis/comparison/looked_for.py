@@ -96,14 +96,15 @@ def _why_slow(
     exam: Examination, effect: str, sensor: str, seen: Mapping[tuple[str, str], str | None]
 ) -> str | None:
     """Say why a slow effect was not looked for; None where it was. seen: the reason of what was fitted."""
+    copied = _copied(exam, effect, sensor)
     if (effect, sensor) in seen and seen[effect, sensor] is None:
-        return None
+        return copied
     first = obstacle(exam, effect, sensor)
     if first is not None:
         return first
     if effect.endswith("bias_random_walk"):
         return None
-    return _copied(exam, effect, sensor) or seen.get((effect, sensor)) or uninformed(effect)
+    return copied or seen.get((effect, sensor)) or uninformed(effect)
 
 
 def _copied(exam: Examination, effect: str, sensor: str) -> str | None:
@@ -113,7 +114,8 @@ def _copied(exam: Examination, effect: str, sensor: str) -> str | None:
         h for scene in scenes for e in effects_in(scene) if e.name == effect for h in scene.hypotheses(e)
     ]
     found = [s.hypothesis for s in exam.statements if s.hypothesis is not None and s.scene in scenes]
-    alike = ((own, other) for own in asked for other in found if copies(own, other))
+    others = [h for h in found if h.effect.name != effect]
+    alike = ((own, other) for own in asked for other in others if copies(own, other))
     return next(
         (
             f"{own.effect.follows} is a copy of {other.effect.follows}, and cannot be told from it"
