@@ -109,7 +109,7 @@ def _why_slow(
 
 def _copied(exam: Examination, effect: str, sensor: str) -> str | None:
     """Say of what found effect's driver an effect's own is a copy; None where it is of none."""
-    scenes = [scene for scene in exam.scenes if scene.sensor == sensor]
+    scenes = [scene for scene in exam.scenes if scene.sensor == sensor and scene.covariates]
     asked = [
         h for scene in scenes for e in effects_in(scene) if e.name == effect for h in scene.hypotheses(e)
     ]
