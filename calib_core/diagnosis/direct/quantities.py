@@ -21,30 +21,34 @@ from stillcal.calib_core.streams.samples import Samples
 
 def of_stamps(samples: Samples) -> dict[str, Measured]:
     """Return jitter, missing samples and bursts of one stream; what cannot be told is absent."""
-    period = sample_period(samples.t)
-    if len(samples) < clock.LEAST_SAMPLES or period <= 0.0 or bunched(samples.t):
+    grid = _grid(samples)
+    if grid is None:
         return {}
-    grid = stamps.Grid.of(samples.t, period)
     out = {"dropped_samples": grid.missing().log(stamps.LEAST_SHARE)}
     sigma = grid.jitter()
     if sigma is not None:
-        out["timestamp_jitter"] = Measured(sigma.value / period, sigma.error / period).log(
-            stamps.LEAST_JITTER
-        )
+        relative = Measured(sigma.value / grid.period, sigma.error / grid.period)
+        out["timestamp_jitter"] = relative.log(stamps.LEAST_JITTER)
     arrived = clock.arrivals(samples)
     if arrived is not None:
-        share = clock.burst_share(clock.waited(samples.t, arrived, period))
+        share = clock.burst_share(clock.waited(samples.t, arrived, grid.period))
         out["arrival_bursts"] = share.log(clock.LEAST_SHARE)
     return out
 
 
 def of_intervals(samples: Samples) -> dict[str, Measured]:
     """Return how the scatter of one stream's stamps grows with time, which is no effect's own number."""
+    grid = _grid(samples)
+    memory = None if grid is None else Memory.of(grid)
+    return {} if memory is None else {"interval_memory": memory.size()}
+
+
+def _grid(samples: Samples) -> stamps.Grid | None:
+    """Return the grid of one stream's stamps; None where they are too few, or have none."""
     period = sample_period(samples.t)
     if len(samples) < clock.LEAST_SAMPLES or period <= 0.0 or bunched(samples.t):
-        return {}
-    memory = Memory.of(stamps.Grid.of(samples.t, period))
-    return {} if memory is None else {"interval_memory": memory.size()}
+        return None
+    return stamps.Grid.of(samples.t, period)
 
 
 def of_values(samples: Samples) -> dict[str, Measured]:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_ENDS, common_extreme
@@ -53,6 +55,19 @@ class Limit:
     value: float
     error: float
     nats: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Scale:
+    """Of one axis its noise and its step (0: none), and the width within which a value is the largest one."""
+
+    noise: float
+    step: float
+    width: float
+
+
+_Judge = Callable[[Array, NDArray[np.bool_], _Scale], float | None]
+"""Takes values (n,) and which of them (n,) are the largest one; returns nats for a limit there, or None."""
 
 
 def saturation(samples: Samples, sensor: str, noise: Array, declared: float | None) -> Finding | None:
@@ -110,67 +125,67 @@ def _common(xyz: Array, declared: float | None) -> dict[int, Limit]:
 
 def _limit(values: Array, noise: float, least: float) -> Limit | None:
     """Return the limit of one axis, of values clipped after their noise or before it."""
-    return _hard_stop(values, noise) or _stays(values, noise) or _flat_top(values, noise, least)
-
-
-def _hard_stop(values: Array, noise: float) -> Limit | None:
-    """Return where samples lie on the very largest value, of either sign, time and again.
-
-    Clipped after its noise, a sensor returns one value; noise would have spread over the steps below it. Only
-    where steps are finer than the noise, so that no rest ends on the largest value by itself. Evidence is the
-    number of visits to that value, binomial among those and the samples just below.
-    """
     step = comb_step(values) or 0.0
-    if step > noise:
-        return None
+    hard = [] if step > noise else [_hard_stop, _stays]
+    stops = (_on_largest(values, noise, step, of) for of in hard)
+    return next((stop for stop in stops if stop), None) or _flat_top(values, noise, least)
+
+
+def _on_largest(values: Array, noise: float, step: float, nats_of: _Judge) -> Limit | None:
+    """Return a limit that values end on, of either sign, where the samples on the very largest one tell it.
+
+    Clipped after its noise, a sensor returns one value. Only where steps are finer than the noise, so that no
+    rest ends on the largest value by itself. step: of the values, 0 for none; nats_of: what tells.
+    """
     found, nats = [], 0.0
     for signed in (values, -values):
         top = float(signed.max())
         width = max(1e-6 * abs(top), 0.1 * step)
-        on = signed >= top - width
-        under = signed[(signed > top - 3.0 * noise) & ~on]
-        visits = int((on[1:] & ~on[:-1]).sum())
-        # Values of few levels end on their highest by themselves, evenly spaced or not.
-        if np.unique(under).size < LEAST_LEVELS or on.sum() < LEAST_PILE or visits < LEAST_VISITS:
-            continue
-        # By chance on the top step, or, where there are no steps, within `width` of the top of a sine.
-        share = step / (3.0 * noise) if step else float(np.sqrt(width / (3.0 * noise)))
-        if on.sum() >= 5.0 * (under.size * share + 1.0):
-            found.append(abs(top))
-            nats += of_counts(float(visits), float(visits + under.size), min(share, 0.5))
-    if not found:
-        return None
-    return Limit(max(found), max(step / np.sqrt(12.0), 1e-6 * max(found)), nats)
-
-
-def _stays(values: Array, noise: float) -> Limit | None:
-    """Return where values stay on the very largest one, of either sign, in every visit, as nowhere else.
-
-    However fast they come there and go, so that few lie just below it. Each sample that stays has the chance
-    with which values repeat the one before elsewhere, or with which noise at rest takes its likeliest step.
-    Six limits, of three axes and two signs, were tried.
-    """
-    step = comb_step(values) or 0.0
-    if step > noise:
-        return None
-    found, nats = [], 0.0
-    for signed in (values, -values):
-        top = float(signed.max())
-        on = signed >= top - max(1e-6 * abs(top), 0.1 * step)
-        stays = int((on[1:] & on[:-1]).sum())
-        visits = int(on.sum()) - stays
-        if visits < LEAST_VISITS or stays < visits:
-            continue
-        elsewhere = ~on[1:]
-        repeats = int((np.diff(signed)[elsewhere] == 0.0).sum())
-        chance = max((repeats + 1.0) / (elsewhere.sum() + 2.0), step / (float(np.sqrt(2.0 * np.pi)) * noise))
-        of_limit = of_chance(stays * float(np.log(chance)), 6.0)
-        if Seen(of_limit).stated:
+        of_limit = nats_of(signed, signed >= top - width, _Scale(noise, step, width))
+        if of_limit is not None:
             found.append(abs(top))
             nats += of_limit
     if not found:
         return None
     return Limit(max(found), max(step / np.sqrt(12.0), 1e-6 * max(found)), nats)
+
+
+def _hard_stop(signed: Array, on: NDArray[np.bool_], scale: _Scale) -> float | None:
+    """Return nats for values that lie on the very largest one time and again; None where they do not.
+
+    Noise would have spread over the steps below it. Evidence is the number of visits to that value, binomial
+    among those and the samples just below.
+    """
+    noise, step = scale.noise, scale.step
+    under = signed[(signed > float(signed.max()) - 3.0 * noise) & ~on]
+    visits = int((on[1:] & ~on[:-1]).sum())
+    # Values of few levels end on their highest by themselves, evenly spaced or not.
+    if np.unique(under).size < LEAST_LEVELS or on.sum() < LEAST_PILE or visits < LEAST_VISITS:
+        return None
+    # By chance on the top step, or, where there are no steps, within `width` of the top of a sine.
+    share = step / (3.0 * noise) if step else float(np.sqrt(scale.width / (3.0 * noise)))
+    if on.sum() < 5.0 * (under.size * share + 1.0):
+        return None
+    return of_counts(float(visits), float(visits + under.size), min(share, 0.5))
+
+
+def _stays(signed: Array, on: NDArray[np.bool_], scale: _Scale) -> float | None:
+    """Return nats for values that stay on the very largest one in every visit, as nowhere else.
+
+    However fast they come there and go, so that few lie just below it. Each sample that stays has the chance
+    with which values repeat the one before elsewhere, or with which noise at rest takes its likeliest step.
+    Six limits, of three axes and two signs, were tried. None where they do not stay.
+    """
+    stays = int((on[1:] & on[:-1]).sum())
+    visits = int(on.sum()) - stays
+    if visits < LEAST_VISITS or stays < visits:
+        return None
+    elsewhere = ~on[1:]
+    repeats = int((np.diff(signed)[elsewhere] == 0.0).sum())
+    by_noise = scale.step / (float(np.sqrt(2.0 * np.pi)) * scale.noise)
+    chance = max((repeats + 1.0) / (elsewhere.sum() + 2.0), by_noise)
+    nats = of_chance(stays * float(np.log(chance)), 6.0)
+    return nats if Seen(nats).stated else None
 
 
 def _flat_top(values: Array, noise: float, least: float) -> Limit | None:

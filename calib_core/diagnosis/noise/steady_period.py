@@ -44,9 +44,7 @@ def steady_period(samples: Samples, sensor: str) -> Finding | None:
     while len(found) < MOST_LINES:
         known = [middle_hz(f) for f in found]
         one = coherent_line(places, left, sensor, (lowest, LEAST_LINE_HZ), known)
-        if one is None:
-            break
-        if in_step(places, left, one) < IN_STEP:
+        if one is None or in_step(places, left, one) < IN_STEP:
             break
         found.append(one)
         left = left.without(middle_hz(one), NEAR / SHORT)
