@@ -71,6 +71,22 @@ def phyphox_files(data: np.ndarray = DATA[:400]) -> dict[str, str]:
     }
 
 
+def phyphox_ios_files(data: np.ndarray = DATA[:400]) -> dict[str, str]:
+    """Return what phyphox on iOS exports of an experiment of the user's own, with semicolons."""
+
+    def table(unit: str, xyz: np.ndarray) -> str:
+        header = ";".join(['"Time (s)"', *(f'"{a} ({unit})"' for a in "XYZ")])
+        return text(header, np.column_stack([data[:, 0], xyz]), ";")
+
+    return {
+        "Accelerometer.csv": table("m/s^2", data[:, 1:4]),
+        "Gyroscope.csv": table("rad/s", data[:, 4:]),
+        "Linear Accelerometer.csv": table("m/s^2", data[:, 1:4] - [0.0, 0.0, 9.81]),
+        "meta/device.csv": '"property";"value"\n"deviceModel";"iPhone13,4"\n"depthFrontSensor";"1"\n',
+        "meta/time.csv": '"event";"experiment time"\n"START";0.0\n',
+    }
+
+
 def as_folder(folder: Path, files: dict[str, str]) -> Path:
     for name, content in files.items():
         path = folder / "export" / name

@@ -35,6 +35,9 @@ _BIAS_SAMPLES = 20_000
 _UNCALIBRATED = ("AccelerometerUncalibrated", "GyroscopeUncalibrated")
 _CALIBRATED = ("TotalAcceleration", "Gyroscope")
 _PHYPHOX = ("Accelerometer.csv", "Raw Data.csv")
+_PHYPHOX_FORMATS = ("phyphox", "phyphox_ios")
+_PHYPHOX_WITHOUT_GRAVITY = ("Linear Acceleration.csv", "Linear Accelerometer.csv")
+"""Of an experiment that the user put together, on Android and on iOS."""
 
 EXPORTED_FILES = (*_PHYPHOX, f"{_UNCALIBRATED[0]}.csv", f"{_CALIBRATED[0]}.csv")
 """Files by which a folder is seen to be one export."""
@@ -108,9 +111,12 @@ def phone_export(path: Path, members: Mapping[str, Source]) -> Log | None:
     for name in _PHYPHOX:
         if name in tables:
             form = text_format(tables[name])
-            if form.name == "phyphox":
+            if form.name in _PHYPHOX_FORMATS:
                 return _phyphox(path, tables, name, form.column_map)
             _refuse_without_gravity(tables[name])
+    for name in _PHYPHOX_WITHOUT_GRAVITY:
+        if name in tables and not set(tables) & set(_PHYPHOX):
+            raise _without_gravity(tables[name], name.removesuffix(".csv"))
     return None
 
 
@@ -131,8 +137,12 @@ def _is_table(name: str) -> bool:
 def _refuse_without_gravity(source: Source) -> None:
     first = source.head(4096).split(b"\n")[0].decode("utf-8", "replace")
     if "Linear Acceleration x" in first:
-        what = "phyphox took gravity out of these values (Linear Acceleration)"
-        raise TraceError(source.path, what, 'record with "Acceleration (with g)"')
+        raise _without_gravity(source, "Linear Acceleration")
+
+
+def _without_gravity(source: Source, called: str) -> TraceError:
+    what = f"phyphox took gravity out of these values ({called})"
+    return TraceError(source.path, what, 'record with "Acceleration (with g)"')
 
 
 def _phyphox(path: Path, tables: dict[str, Source], name: str, column_map: ColumnMap) -> Log:
@@ -165,7 +175,8 @@ def _phyphox_claims(device: Source | None) -> Claims:
     if device is None:
         return Claims()
     text = device.head(_DEVICE_BYTES).decode("utf-8", "replace")
-    rows = {row[0]: row[1] for row in csv.reader(text.splitlines()) if len(row) >= 2}
+    mark = next((m for m in (";", "\t") if m in text.split("\n", 1)[0]), ",")
+    rows = {row[0]: row[1] for row in csv.reader(text.splitlines(), delimiter=mark) if len(row) >= 2}
     claims = {"device": rows.get("deviceModel")}
     for ours, theirs in (("accel", "accelerometer"), ("gyro", "gyroscope")):
         for field, name in (("range", "Range"), ("lsb", "Resolution")):

@@ -33,6 +33,7 @@ from tests.support.log_files import (
     gnss_logger,
     npz,
     phyphox_files,
+    phyphox_ios_files,
     ros1_bag,
     rows,
     sensor_logger_files,
@@ -74,6 +75,23 @@ def test_a_phyphox_export_is_read_with_what_it_says_of_the_sensors(tmp_path: Pat
     assert sum(len(chunk.accelerometer) for chunk in trace) == 400
     assert (trace.claims.device, trace.claims.accel_range) == ("Pixel 9a", 78.4532)
     assert trace.claims.gyro_range is None
+
+
+@pytest.mark.parametrize("pack", [as_folder, as_zip])
+def test_what_phyphox_on_ios_calls_x_y_z_is_read_and_not_taken_for_two_recordings(
+    tmp_path: Path, pack
+) -> None:
+    """Both accelerations have the same header there; gravity is in one of the two only."""
+    recording = read_all(pack(tmp_path, phyphox_ios_files(LONG)))
+    np.testing.assert_array_equal(recording.accelerometer.xyz, LONG[:, 1:4])
+    np.testing.assert_array_equal(recording.gyroscope.xyz, LONG[:, 4:])
+    assert (recording.claims.device, recording.notes) == ("iPhone13,4", [])
+
+
+def test_phyphox_on_ios_without_gravity_is_refused_with_what_to_record(tmp_path: Path) -> None:
+    files = {name: made for name, made in phyphox_ios_files().items() if name != "Accelerometer.csv"}
+    with pytest.raises(TraceError, match=r"Linear Accelerometer.csv: phyphox took gravity out.*with g"):
+        open_trace(as_zip(tmp_path, files))
 
 
 def test_a_zip_of_one_table_of_any_columns_is_read(tmp_path: Path) -> None:
