@@ -21,15 +21,16 @@ from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import shown_in_motion
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span, on_limits
+from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
 from stillcal.calib_core.diagnosis.segments.overview import Overview
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
@@ -159,7 +160,8 @@ def examine(
     claims, sound = claims or Claims(), sound or sound_phones()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
-    bins = still_bins(accelerometer, gyroscope, events, overview)
+    seconds = overview or overview_of(accelerometer, gyroscope)
+    bins = still_bins(accelerometer, gyroscope, events, seconds)
     sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
     lost = [f for s, x in sensors if (f := stuck(x, s))]
     clear = outside_of(bins, lost)
@@ -182,7 +184,8 @@ def examine(
         progress(MEASURED + (SEARCHED - MEASURED) * done / len(searched))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
                        exchanged=spoiled.sensor if spoiled else "")  # fmt: skip
-    made = _with_motion(made, [(f.where.t_start, f.where.t_end) for f in gone], without, sound, search=search)
+    spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
+    made = _with_tilts(_with_motion(made, spoilt, without, sound, search=search), seconds, spoilt)
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
 
@@ -223,6 +226,26 @@ def _with_motion(
         delay=motion.delay,
         why_no_delay=motion.why_none,
     )
+
+
+def _with_tilts(exam: Examination, seconds: Overview, spoiled: Sequence[Span]) -> Examination:
+    """Return an examination with jumps of gravity's direction that the gyroscope does not see.
+
+    What the accelerometer's bias is found to do without a name may be these jumps, and is stated already. A
+    step that has a name explains the jump at its moment, which is told to a bin. spoiled: when readings are
+    no measurement.
+    """
+    own = [s for s in exam.statements if s.finding.sensor == "accel"]
+    slow = [s for s in own if s.finding.effect == "unknown" and s.finding.where.band_hz == SLOW_BAND]
+    if slow or exam.exchanged:
+        return exam
+    moments = [s.hypothesis.grid["t_start"] for s in own if s.hypothesis and "t_start" in s.hypothesis.grid]
+    told = float(exam.bins.duration.max(initial=0.0))
+    named = [(m - told, m + told) for m in moments]
+    rounding = exam.bins.force_rounding, exam.bins.rate_rounding
+    spans = [*spoiled, *exam.on_limits, *named]
+    found = unseen_tilt(seconds, rounding, exam.claims.gravity, spans)
+    return exam if found is None else replace(exam, statements=[*exam.statements, Stated(found)])
 
 
 def _turned(

@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE as ALIKE_DELAY
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
+from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
@@ -243,6 +244,7 @@ def why_not_shown(finding: Finding, other: Examination) -> str | None:
     """Say why another recording could not show an effect at all; None where it could."""
     samples = other.gyroscope if finding.sensor == "gyro" else other.accelerometer
     between = finding.effect in ("accel_gyro_time_offset", "lever_arm")
+    between = between or finding.where.driver == UNSEEN_TILT
     reasons = (
         ((finding.sensor == "gyro" or between) and other.gyroscope is None, "it has no gyroscope"),
         (

@@ -1,0 +1,246 @@
+"""Gravity's direction that jumps while the gyroscope sees no turn: the accelerometer's own.
+
+Across gravity a bias that jumps and a nudge of the phone look alike to the accelerometer, and the norm of
+gravity shows neither. A nudge is a turn. So gravity's direction, second by second at rest, is compared with
+where the gyroscope takes it: what is left is a line in time, for the gyroscope's bias, and noise. At every
+second, and over short gaps between rests, a step in it is estimated. What lies on something that gives way
+turns, and both sensors see it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_ANGLE
+from stillcal.calib_core.diagnosis.model.settings import JUMP
+from stillcal.calib_core.diagnosis.segments.orientation import LONGEST_GAP
+from stillcal.calib_core.diagnosis.segments.overview import Overview
+from stillcal.calib_core.diagnosis.segments.static_bins import rest_edges
+from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, without_gaps, without_spikes
+
+Index = NDArray[np.int64]
+Span = tuple[float, float]
+
+DRIVER = "gravity's direction"
+
+REACH, FEWEST = 8, 3
+"""Windows on either side of a moment that tell a step, at most and at least."""
+
+LEAST_RATE = 20.0
+"""Samples of the gyroscope in a window, at least: two in a nudge of a tenth of a second."""
+
+WHOLE = 0.8
+"""Part of the usual samples, without which the gyroscope may have missed a nudge."""
+
+UNSURE = 0.1
+"""Part of how far the phone was moved meanwhile that the gyroscope may have missed, uncalibrated."""
+
+TOGETHER = 20_000
+"""Moments that are judged together, to bound memory."""
+
+ROUNDED = float(np.sqrt(12.0))
+"""A whole step of coarse values over the standard deviation of rounding to it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """Windows of a recording.
+
+    up: (n, 3) gravity's direction; left: (n, 3) the same, the gyroscope's turns taken off; path: (n,) rad,
+    how far each window moved beyond the gyroscope's noise.
+    """
+
+    up: Array
+    left: Array
+    path: Array
+
+    @classmethod
+    def of(cls, force: Windows, rate: Windows, runs: Sequence[tuple[int, int]]) -> Series:
+        """Carry gravity's direction along by the rates. runs: [first, last) windows at rest."""
+        still = np.concatenate([np.arange(a, b) for a, b in runs])
+        up = force.mean / np.maximum(np.linalg.norm(force.mean, axis=1, keepdims=True), 1e-9)
+        spin = rate.mean - np.median(rate.mean[still], axis=0)
+        turned = WINDOW * np.cross(up, spin)
+        noise = 3.0 * float(np.median(rate.variance[still].sum(axis=1)))
+        power = (spin**2).sum(axis=1) + rate.variance.sum(axis=1) - noise
+        path = WINDOW * np.sqrt(np.maximum(power, 0.0))
+        return cls(up, up - np.cumsum(turned, axis=0) + turned / 2.0, path)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Steps of gravity's direction. at: (m,) windows from the first to the middle of each; step: (m, 3) rad.
+
+    variance: (m,) of a component of `step` with unit noise; noise: (m,) variance of a window's component;
+    freedom: (m,) of that. seen: (m,) rad, by how much the direction changes with the gyroscope's turns in it;
+    gap: (m,) windows between.
+    """
+
+    at: Array
+    step: Array
+    variance: Array
+    noise: Array
+    freedom: Array
+    seen: Array
+    gap: Array
+
+    @classmethod
+    def of(cls, series: Series, places: Index) -> Steps:
+        """Estimate the step at places (m, 4): [first, last) before it, [first, last) after it."""
+        before, after = places[:, 1] - places[:, 0], places[:, 3] - places[:, 2]
+        gap = places[:, 2] - places[:, 1]
+        shape = np.stack([before, gap, after], axis=1)
+        kinds, which = np.unique(shape, axis=0, return_inverse=True)
+        out = np.zeros((len(places), 7))
+        for k, (n, between, m) in enumerate(kinds):
+            for rows in _batches(np.flatnonzero(which.ravel() == k)):
+                out[rows] = _steps(series, places[rows, 0], n, between, m)
+        variance, noise, freedom, seen = out[:, 3:].T
+        middle = (places[:, 1] + places[:, 2]) / 2.0
+        return cls(middle, out[:, :3], variance, noise, freedom, seen, gap.astype(np.float64))
+
+    @property
+    def angle(self) -> Array:
+        """Size (m,) of each step, rad."""
+        return np.asarray(np.linalg.norm(self.step, axis=1))
+
+
+def _batches(rows: Index) -> list[Index]:
+    return [rows[i : i + TOGETHER] for i in range(0, rows.size, TOGETHER)]
+
+
+def _steps(series: Series, first: Index, n: int, gap: int, m: int) -> Array:
+    """Return rows (k, 7) of places alike: step, variance with unit noise, noise, freedom, angle seen.
+
+    first: (k,) the first window; n, gap, m: windows before, between and after.
+    """
+    lag = np.concatenate([np.arange(n), np.arange(m) + n + gap]).astype(np.float64)
+    later = lag >= n + gap
+    design = np.column_stack([later, np.ones(lag.size), lag - lag.mean()])
+    solve = np.linalg.pinv(design)
+    rows = first[:, None] + lag.astype(np.int64)
+    left, up = series.left[rows], series.up[rows]
+    middle = up.mean(axis=1)
+    middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+    left = left - np.einsum("kli,ki->kl", left, middle)[:, :, None] * middle[:, None, :]
+    step = np.einsum("l,kli->ki", solve[0], left)
+    rest = left - np.einsum("lj,jn,kni->kli", design, solve, left)
+    freedom = 2 * (n + m - 3)
+    noise = (rest**2).sum(axis=(1, 2)) / freedom
+    seen = up[:, later].mean(axis=1) - up[:, ~later].mean(axis=1)
+    known = np.broadcast_to([float(solve[0] @ solve[0])], first.shape)
+    free = np.broadcast_to([float(freedom)], first.shape)
+    return np.column_stack([step, known, noise, free, np.linalg.norm(seen, axis=1)])
+
+
+def unseen_tilt(
+    overview: Overview,
+    rounding: tuple[Array | None, Array | None],
+    gravity: float,
+    spoiled: Sequence[Span] = (),
+) -> Finding | None:
+    """Find jumps of gravity's direction that the gyroscope does not see.
+
+    rounding: (3,) of force and rate, sd of what coarse steps leave in a mean at rest; spoiled: when not to
+    look, s.
+    """
+    if overview.rate is None or float(np.median(overview.rate.count)) < LEAST_RATE:
+        return None
+    runs = rest_edges(overview.force, overview.rate, overview.span).runs
+    force = without_gaps(without_spikes(overview.force, overview.rate))
+    rate = without_gaps(without_spikes(overview.rate, overview.force))
+    places = _places(runs)
+    if not len(places):
+        return None
+    series = Series.of(force, rate, runs)
+    places, moved = _judged_places(places, series, rate, spoiled)
+    if not len(places):
+        return None
+    steps = Steps.of(series, places)
+    error = _errors(steps, moved, rounding, gravity)
+    # F of two components over the noise about the line, whose tail is in closed form.
+    log_chance = -0.5 * steps.freedom * np.log1p(steps.angle**2 / error**2 / steps.freedom)
+    # What turns while gravity stays where it was is the gyroscope's.
+    log_chance[steps.seen < 0.5 * steps.angle] = 0.0
+    return _finding(steps, error, log_chance, overview.span[0])
+
+
+def _places(runs: Sequence[tuple[int, int]]) -> Index:
+    """Return [first, last) before and after every moment (m, 4) in rests, and between rests not far apart."""
+    found = [np.zeros((0, 4), dtype=np.int64)]
+    for i, (a, b) in enumerate(runs):
+        k = np.arange(a + FEWEST, b - FEWEST + 1)
+        found.append(np.stack([np.maximum(k - REACH, a), k, k, np.minimum(k + REACH, b)], axis=1))
+        if i and a - runs[i - 1][1] <= LONGEST_GAP and b - a >= FEWEST:
+            first, last = runs[i - 1]
+            if last - first >= FEWEST:
+                found.append(np.array([[max(last - REACH, first), last, a, min(a + REACH, b)]]))
+    return np.concatenate(found)
+
+
+def _judged_places(
+    places: Index, series: Series, rate: Windows, spoiled: Sequence[Span]
+) -> tuple[Index, Array]:
+    """Return the places that the gyroscope watched all along, and how far (m,) the phone moved there, rad."""
+    lost = (rate.count < WHOLE * float(np.median(rate.count))).astype(np.float64)
+    for start, end in spoiled:
+        lost[(rate.t > start - WINDOW) & (rate.t < end + WINDOW)] = 1.0
+    unwatched, path = (np.concatenate([[0.0], np.cumsum(x)]) for x in (lost, series.path))
+    watched = unwatched[places[:, 3]] - unwatched[places[:, 0]] == 0.0
+    moved = path[places[:, 2] + 1] - path[places[:, 1] - 1]
+    kept = watched & (moved < LEAST_ANGLE)
+    return places[kept], moved[kept]
+
+
+def _errors(steps: Steps, moved: Array, rounding: tuple[Array | None, Array | None], gravity: float) -> Array:
+    """Return the standard errors (m,) of a component of each step, rad.
+
+    Noise is that about the line, and no less than what most steps show: neighbouring seconds may be alike.
+    """
+    inside = steps.gap == 0.0
+    usual = steps.angle[inside] ** 2 / steps.variance[inside] if inside.any() else np.zeros(1)
+    # The median of two squared components is 2 ln 2 times their variance.
+    noise = np.maximum(float(np.median(usual)) / (2.0 * np.log(2.0)), steps.noise)
+    coarse = [0.0 if r is None else ROUNDED * float(r.max()) for r in rounding]
+    missed = UNSURE * moved
+    blurred = coarse[0] / gravity + coarse[1] * WINDOW * (1.0 + steps.gap)
+    settled = JUMP["accel"] / gravity
+    variance = noise * steps.variance * (1.0 + steps.gap) + missed**2 + blurred**2 + settled**2
+    return np.asarray(np.sqrt(variance))
+
+
+def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Finding | None:
+    """State the jumps that are sure, each once. start: s, of the first window."""
+    tries = float(log_chance.size)
+    found: list[int] = []
+    for i in np.argsort(log_chance):
+        if not Seen(of_chance(float(log_chance[i]), tries)).stated:
+            break
+        if all(abs(steps.at[i] - steps.at[j]) > REACH for j in found):
+            found.append(int(i))
+    if not found:
+        return None
+    surest = found[0]
+    times = [start + WINDOW * float(steps.at[i]) for i in found]
+    angle, half = float(steps.angle[surest]), NORMAL_95 * float(error[surest])
+    many = "" if len(found) == 1 else f" It does so {len(found)} times; this is the surest."
+    say = (
+        f"At {times[0]:.0f} s gravity's direction jumps by {np.degrees(angle):.2g} degrees in the"
+        f" accelerometer, and the gyroscope sees no such turn.{many}"
+    )
+    sizes = {
+        "angle": Parameter(angle, [angle - half, angle + half], "rad"),
+        **sized({"jumps": (float(len(found)), "1")}),
+    }
+    size = np.abs(steps.step[surest])
+    axes = [int(a) for a in np.flatnonzero(size > 0.5 * size.max())]
+    where = Where(min(times), max(times), (0.0, 1.0 / WINDOW), DRIVER)
+    seen = Seen(of_chance(float(log_chance[surest]), tries))
+    return direct_finding("unknown", "accel", axes, where, sizes, statement=say, seen=seen)

@@ -1,0 +1,75 @@
+"""Jumps of gravity's direction that the gyroscope does not see have no name; true turns are silent."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER, unseen_tilt
+from stillcal.calib_core.diagnosis.segments.static_bins import cut, overview_of
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.calib_core.diagnosis.test_true_motion import on_foam
+
+RATE, SECONDS, G = 50.0, 200.0, 9.80665
+
+
+def lying(seed: int, own: float, nudge: float, lasts: float = 0.3, walk: float = 0.0) -> tuple[Samples, ...]:
+    """Lie for 200 s. At 60 and 140 s gravity turns by `own` rad about y for the accelerometer, and back.
+
+    nudge: rad, by which the phone tips about x in `lasts` s at 100 s; walk: of the accelerometer's bias,
+    m/s^2 per root second.
+    """
+    rng, t = np.random.default_rng(seed), np.arange(0.0, SECONDS, 1.0 / RATE)
+    tipped = nudge * np.clip((t - 100.0) / lasts, 0.0, 1.0)
+    about_y = own * ((t >= 60.0) & (t < 140.0))
+    up = np.stack(
+        [np.sin(about_y), np.sin(tipped), np.sqrt(1.0 - np.sin(about_y) ** 2 - np.sin(tipped) ** 2)]
+    )
+    noise = 0.01 * rng.normal(size=(t.size, 3))
+    force = (
+        G * up.T + [0.1, -0.2, 0.05] + noise + walk / RATE**0.5 * np.cumsum(rng.normal(size=noise.shape), 0)
+    )
+    # The nudge's rate, scale 3 % off: du/dt = u x w.
+    rate = (
+        np.outer(1.03 * np.gradient(tipped, t), [1.0, 0.0, 0.0]) + 0.01 + 1e-3 * rng.normal(size=(t.size, 3))
+    )
+    return Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate)
+
+
+def tilts(force: Samples, rate: Samples, *spoiled: tuple[float, float]) -> Finding | None:
+    bins = cut(force, rate)
+    return unseen_tilt(overview_of(force, rate), (bins.force_rounding, bins.rate_rounding), G, spoiled)
+
+
+def test_what_the_accelerometer_alone_shows_is_found() -> None:
+    angle = float(np.radians(1.2))
+    found = tilts(*lying(1, angle, 0.0))
+    assert found is not None and (found.effect, found.where.driver, found.axes) == ("unknown", DRIVER, ["x"])
+    assert (found.where.t_start, found.where.t_end) == pytest.approx((60.0, 140.0), abs=1.0)
+    assert found.parameters["angle"].value == pytest.approx(angle, rel=0.03)
+    assert found.parameters["jumps"].value == 2.0
+    low, high = found.parameters["angle"].ci95
+    assert low < angle < high
+
+
+def test_a_nudge_that_both_see_is_silent() -> None:
+    """Quick and slow, on a gyroscope whose scale is 3 % off, beside a bias that walks."""
+    for seed, (nudge, lasts, walk) in enumerate([(0.02, 0.1, 0.0), (0.05, 0.5, 3e-3), (0.02, 8.0, 1e-2)]):
+        assert tilts(*lying(seed, 0.0, nudge, lasts, walk)) is None
+    for seed in (1, 2):
+        assert tilts(*on_foam(seed, rests=5)) is None
+
+
+def test_where_the_gyroscope_does_not_measure_nothing_is_said() -> None:
+    force, rate = lying(1, 0.02, 0.0)
+    assert tilts(force, rate, (55.0, 65.0), (135.0, 145.0)) is None
+    slow = rate[::5]
+    assert unseen_tilt(overview_of(force, slow), (None, None), G) is None
+
+
+def test_the_diagnosis_states_it_once() -> None:
+    found = diagnose(*lying(3, 0.02, 0.0)).findings
+    assert [(f.effect, f.sensor, f.where.driver) for f in found] == [("unknown", "accel", DRIVER)]
+    assert "2 times" in found[0].statement
