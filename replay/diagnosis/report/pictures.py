@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.motion.axis_delays import DRIVER as AXES_LATE
+from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER as INTERMITTENT
+from stillcal.calib_core.diagnosis.noise.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence import codes as own_code
 from stillcal.calib_core.diagnosis.sequence import order, places, recurrence
@@ -225,13 +227,8 @@ def _nameless(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
             "Histogram of intervals",
             caption,
         )
-    if driver in (order.DRIVER, recurrence.AGAIN, recurrence.STALE):
-        at = float(finding["where"]["t_start"])
-        return (
-            lambda three, unit: sample_figures.samples_figure(three, unit, axis, at),
-            "Single samples where it first happens",
-            f"Samples of axis {name} where it first happens.",
-        )
+    if (event := _event(finding, driver, axis)) is not None:
+        return event
     what = {own_code.DRIVER: sample_figures.CODES, places.DRIVER: sample_figures.COUNT}.get(driver)
     period = _number(finding, "period_codes", "period_samples")
     if what is None or period is None:
@@ -241,6 +238,32 @@ def _nameless(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
         f"Size of residuals over the {what}",
         f"Median size of what neighbours leave of samples of axis {name}, over the {what}.",
     )
+
+
+def _event(finding: Mapping[str, Any], driver: str, axis: int) -> tuple[Draw, str, str] | None:
+    """Return how an effect without a name is drawn that has a moment or a steady period; None for others."""
+    name, at = "xyz"[axis], float(finding["where"]["t_start"])
+    if driver in (order.DRIVER, recurrence.AGAIN, recurrence.STALE):
+        return (
+            lambda three, unit: sample_figures.samples_figure(three, unit, axis, at),
+            "Single samples where it first happens",
+            f"Samples of axis {name} where it first happens.",
+        )
+    if driver == UNSEEN_TILT:
+        return (
+            lambda three, unit: sample_figures.jump_figure(three, unit, axis, at),
+            "Means of seconds about the jump",
+            f"Axis {name} about the first jump: the mean of each second.",
+        )
+    frequency = _number(finding, "frequency")
+    if driver == STEADY_PERIOD and frequency:
+        cycle = 1.0 / frequency
+        return (
+            lambda three, unit: sample_figures.period_figure(three, unit, axis, cycle),
+            "Mean over the period",
+            f"Axis {name} at rest over the period of {cycle:.4g} s: the mean of the samples in each part.",
+        )
+    return None
 
 
 def _number(finding: Mapping[str, Any], *names: str) -> float | None:
