@@ -8,6 +8,8 @@ import os
 import re
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import click
@@ -33,8 +35,23 @@ IIO_PLACES = {
 }
 """What the machine's own sensors take besides: their files in /sys may be written."""
 
-SHIPPED_GROUP = "SocketGroup=dialout"
-"""The group of the shipped socket, which --socket-group replaces."""
+UINPUT_PLACES = {
+    "stillcal-uinput.conf": "etc/systemd/system/stillcal.service.d",
+    "71-stillcal-uinput.rules": "etc/udev/rules.d",
+    "stillcal-uinput-module.conf": "etc/modules-load.d",
+}
+"""What an input device takes besides: the module, /dev/uinput, and readers who are logged in."""
+
+LINE_GROUPS = ("dialout", "uucp")
+"""Groups to which systems give their serial lines: most, then Arch and SteamOS. The first is shipped."""
+
+INPUT_GROUP = "input"
+"""The group of /dev/uinput in the shipped files, which systemd makes on every system."""
+
+PUBLISH_UINPUT = 'publish.to = ["uinput"]'
+"""The setting by which the daemon makes the input device."""
+
+SHIPPED_MODE = "SocketMode=0660"
 
 DEFAULT_PORT = "/dev/ttyACM0"
 UNREACHABLE = {"ProtectHome": ("/home", "/root", "/run/user"), "PrivateTmp": ("/tmp", "/var/tmp")}
@@ -58,33 +75,56 @@ SETTINGS = Path("etc/stillcal/stillcal.toml")
 @click.option(
     "--iio", is_flag=True, help="This machine is the phone: read its own sensors, as the kernel has them."
 )
+@click.option("--uinput", is_flag=True, help="Also show the corrected sensors as an input device.")
+@click.option(
+    "--group",
+    help="Group to which the phone's line and the sensors' files belong "
+    "[default: dialout, or uucp where there is no dialout].",
+)
 @click.option(
     "--socket-group",
-    default="dialout",
-    show_default=True,
-    help="Group of the system whose members may connect to the daemon's socket.",
+    help="Group of the system whose members may connect to the daemon's socket [default: that of --group].",
 )
+@click.option("--all-users", is_flag=True, help="Every user of this machine may connect to the socket.")
 @click.option("--root", type=click.Path(path_type=Path), default=Path("/"), help="Install below this folder.")
 @click.option("--print", "only_print", is_flag=True, help="Print the files, change nothing.")
-def install_command(port: str | None, iio: bool, socket_group: str, root: Path, only_print: bool) -> None:
+def install_command(  # noqa: PLR0917 - click hands every option over by name
+    port: str | None,
+    iio: bool,
+    uinput: bool,
+    group: str | None,
+    socket_group: str | None,
+    all_users: bool,
+    root: Path,
+    only_print: bool,
+) -> None:
     """Install the systemd service.
 
     Units go to /etc/systemd/system, udev rules to /etc/udev/rules.d, and settings to
     /etc/stillcal/stillcal.toml unless there are some. Nothing is started.
     """
+    if all_users and socket_group is not None:
+        raise click.UsageError("--all-users lets everybody connect: leave out --socket-group")
     if iio and port is not None:
         raise click.UsageError("--iio reads this machine's own sensors: leave out --port")
     _refuse_odd_names(port)
     if not only_print:
         for path in (_command(), port or DEFAULT_PORT):
             _warn_unreachable(path)
-    _check_group(socket_group, there=not only_print and root == Path("/"))
-    for place, text in files(port or DEFAULT_PORT, iio, socket_group):
+    group = _line_group() if group is None else group
+    access = Access(group, group if socket_group is None else socket_group, all_users)
+    here = not only_print and root == Path("/")
+    _check_group("--group", access.group, here)
+    _check_group("--socket-group", access.socket_group, here)
+    if uinput:
+        _check_group("--uinput", INPUT_GROUP, here)
+    for place, text in files(port or DEFAULT_PORT, access, iio=iio, uinput=uinput):
         target = root / place
         if only_print:
             click.echo(f"# /{place}\n{text}")
         elif place == SETTINGS and target.exists():
-            click.echo(f"{target}: exists, not changed")
+            missing = f"; add to it what --uinput needs: {PUBLISH_UINPUT}" if uinput else ""
+            click.echo(f"{target}: exists, not changed{missing}")
         else:
             _write(target, text)
             click.echo(f"{target}: written")
@@ -94,18 +134,47 @@ def install_command(port: str | None, iio: bool, socket_group: str, root: Path, 
         )
 
 
-def files(port: str, iio: bool = False, socket_group: str = "dialout") -> Iterator[tuple[Path, str]]:
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Who may do what. group: of the phone's line and the sensors' files, and so of the daemon.
+
+    socket_group: whose members may connect to the socket; all_users: all may.
+    """
+
+    group: str = LINE_GROUPS[0]
+    socket_group: str = LINE_GROUPS[0]
+    all_users: bool = False
+
+    def put_into(self, text: str) -> str:
+        """Return a shipped file with these groups instead of its own."""
+        text = text.replace(LINE_GROUPS[0], self.group)
+        text = text.replace(f"SocketGroup={self.group}", f"SocketGroup={self.socket_group}")
+        return text.replace(SHIPPED_MODE, "SocketMode=0666") if self.all_users else text
+
+
+def files(
+    port: str, access: Access, *, iio: bool = False, uinput: bool = False
+) -> Iterator[tuple[Path, str]]:
     """Yield each file to install: its path below the root and its contents."""
     source = 'kind = "iio"' if iio else f"port = {_toml(port)}"
+    publish = f"{PUBLISH_UINPUT}\n" if uinput else ""
     shipped = importlib.resources.files("stillcal.config") / "systemd"
-    for name, folder in (PLACES | (IIO_PLACES if iio else {})).items():
-        text = (shipped / name).read_text(encoding="utf-8")
-        text = text.replace(SHIPPED_GROUP, f"SocketGroup={socket_group}")
+    for name, folder in (PLACES | (IIO_PLACES if iio else {}) | (UINPUT_PLACES if uinput else {})).items():
+        text = access.put_into((shipped / name).read_text(encoding="utf-8"))
         yield Path(folder) / name, text.replace(SHIPPED, _unit_word(_command()))
     yield (
         SETTINGS,
-        f"# See `stillcal run --help`. What is not set here has its default.\n[source]\n{source}\n",
+        f"# See `stillcal run --help`. What is not set here has its default.\n{publish}[source]\n{source}\n",
     )
+
+
+def _line_group() -> str:
+    """Return this system's group of serial lines; the first of LINE_GROUPS where it has none of them."""
+    for name in LINE_GROUPS:
+        with suppress(SettingsError, ImportError):  # no module grp: Windows
+            group_id(name)
+            return name
+    return LINE_GROUPS[0]
 
 
 def _refuse_odd_names(port: str | None) -> None:
@@ -121,15 +190,15 @@ def _refuse_odd_names(port: str | None) -> None:
         raise click.UsageError(f"--port {port!a}: is no UTF-8 text: give another name")
 
 
-def _check_group(name: str, there: bool) -> None:
+def _check_group(option: str, name: str, there: bool) -> None:
     """Refuse a name that no group can have, or (there) that no group of this system has."""
     if not re.fullmatch(r"[A-Za-z_][\w.-]*\$?", name):
-        raise click.UsageError(f"--socket-group {name!r} is no name of a group")
+        raise click.UsageError(f"{option} {name!r} is no name of a group")
     if there:
         try:
             group_id(name)
         except SettingsError as error:
-            raise click.UsageError(str(error).replace("[socket] group =", "--socket-group")) from None
+            raise click.UsageError(str(error).replace("[socket] group =", option)) from None
 
 
 def _toml(text: str) -> str:

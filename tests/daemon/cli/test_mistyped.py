@@ -22,7 +22,7 @@ from click.testing import CliRunner, Result
 
 from stillcal.calib_core.errors import UserError
 from stillcal.daemon.app import Service
-from stillcal.daemon.cli.install import files, install_command
+from stillcal.daemon.cli.install import Access, files, install_command
 from stillcal.daemon.cli.query import NoDaemonError, query_command, replies
 from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.store.document import StoreDocument, differences
@@ -282,13 +282,13 @@ def test_differences_name_every_value_once(make_record: Any) -> None:
 
 @pytest.mark.parametrize("port", ["/dev/tty\"A'", "/dev/serial/by-id/*", "C:\\x", "/dev/ü\x7f"])
 def test_any_port_stands_in_the_settings_as_it_was_given(port: str) -> None:
-    *_, (_, text) = files(port)
+    *_, (_, text) = files(port, Access())
     assert tomllib.loads(text)["source"]["port"] == port
 
 
 def test_a_command_in_an_odd_folder_is_one_word_of_the_unit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["/opt/still cal 50%/bin/stillcal"])
-    (_, unit), *_ = files("/dev/ttyACM0")
+    (_, unit), *_ = files("/dev/ttyACM0", Access())
     (line,) = (line for line in unit.splitlines() if line.startswith("ExecStart="))
     assert line == 'ExecStart="/opt/still cal 50%%/bin/stillcal" run --config /etc/stillcal/stillcal.toml'
 
@@ -303,7 +303,7 @@ def test_a_port_that_is_none_is_refused(tmp_path: Path, port: str, why: str) -> 
 
 
 def test_the_machines_own_sensors_can_be_installed() -> None:
-    *_, (_, text) = files("unused", iio=True)
+    *_, (_, text) = files("unused", Access(), iio=True)
     assert tomllib.loads(text)["source"] == {"kind": "iio"}
     assert CliRunner().invoke(install_command, ["--iio", "--port", "x", "--print"]).exit_code == 2
 

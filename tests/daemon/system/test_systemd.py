@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import os
 import re
 import shutil
@@ -15,7 +16,10 @@ import pytest
 import varlink
 from click.testing import CliRunner
 
+from stillcal.daemon.cli import install
 from stillcal.daemon.cli.install import install_command
+from stillcal.daemon.publish import uinput
+from stillcal.daemon.settings import SettingsError, load_settings
 
 STILLCAL = Path(sys.executable).with_name("stillcal")
 
@@ -55,6 +59,50 @@ def test_the_sockets_group_is_as_asked_and_must_be_one(tmp_path: Path) -> None:
     for name in ("two words", "a\nb", ""):
         found = run(STILLCAL, "install-service", "--root", tmp_path, "--socket-group", name)
         assert found.returncode == 2 and not list(tmp_path.iterdir())
+
+
+def test_every_user_may_be_let_in(tmp_path: Path) -> None:
+    found = run(STILLCAL, "install-service", "--root", tmp_path, "--all-users")
+    assert found.returncode == 0, found.stderr
+    unit = tmp_path / "etc/systemd/system/stillcal.socket"
+    assert "SocketMode=0666\n" in unit.read_text() and "0660" not in unit.read_text()
+    found = run(STILLCAL, "install-service", "--print", "--all-users", "--socket-group", "users")
+    assert found.returncode == 2 and "leave out --socket-group" in found.stderr
+
+
+def test_the_group_is_one_that_the_system_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arch has no dialout; systemd starts no unit with a group that is not there (status 216)."""
+
+    def only_uucp(name: str) -> int:
+        if name == "uucp":
+            return 10
+        raise SettingsError(f"[socket] group = {name!r}: this system has no such group")
+
+    monkeypatch.setattr(install, "group_id", only_uucp)
+    result = CliRunner().invoke(install_command, ["--print", "--iio"])
+    assert result.exit_code == 0 and "dialout" not in result.output
+    for line in ("SupplementaryGroups=uucp", "SocketGroup=uucp", 'GROUP="uucp"', "chgrp uucp"):
+        assert line in result.output
+    result = CliRunner().invoke(install_command, ["--print", "--group", "sensors", "--socket-group", "users"])
+    assert "SupplementaryGroups=sensors\n" in result.output and "SocketGroup=users\n" in result.output
+    result = CliRunner().invoke(install_command, ["--group", "sensors"])
+    assert result.exit_code == 2 and "--group 'sensors': this system has no such group" in result.output
+
+
+def test_an_input_device_is_let_through_and_readable_by_who_is_logged_in(tmp_path: Path) -> None:
+    found = run(STILLCAL, "install-service", "--root", tmp_path, "--uinput")
+    assert found.returncode == 0, found.stderr
+    units = tmp_path / "etc/systemd/system"
+    assert "DeviceAllow=/dev/uinput rw" in (units / "stillcal.service.d/stillcal-uinput.conf").read_text()
+    assert (tmp_path / "etc/modules-load.d/stillcal-uinput-module.conf").read_text().endswith("\nuinput\n")
+    rules = tmp_path / "etc/udev/rules.d/71-stillcal-uinput.rules"
+    assert f'ATTRS{{name}}=="{uinput.NAME.decode()}", TAG+="uaccess"' in rules.read_text()
+    assert load_settings(tmp_path / "etc/stillcal/stillcal.toml").publish.to == ("uinput",)
+    services = [units / "stillcal.service", units / "stillcal.socket"]
+    verified = run(need("systemd-analyze"), "verify", "--man=no", *services)
+    assert (verified.returncode, verified.stdout, verified.stderr) == (0, "", "")
+    again = run(STILLCAL, "install-service", "--root", tmp_path, "--uinput")
+    assert 'not changed; add to it what --uinput needs: publish.to = ["uinput"]' in again.stdout
 
 
 def test_printing_changes_nothing(tmp_path: Path) -> None:
@@ -123,8 +171,9 @@ def test_the_service_is_hardened(installed: Path) -> None:
     assert "DeviceAllow=char-ttyACM rw" in unit.read_text()
 
 
-def test_the_rule_is_good(installed: Path) -> None:
-    found = run(need("udevadm"), "verify", installed / "etc/udev/rules.d/70-stillcal.rules")
+def test_the_rules_are_good() -> None:
+    shipped = Path(str(importlib.resources.files("stillcal.config"))) / "systemd"
+    found = run(need("udevadm"), "verify", *shipped.glob("*.rules"))
     if "verify" not in run(need("udevadm"), "--help").stdout:
         pytest.skip("this udevadm cannot verify rules")
     assert found.returncode == 0, found.stderr
