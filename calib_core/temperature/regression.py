@@ -81,7 +81,10 @@ class Wander:
 
 
 def _flicker(apart: Array) -> Array:
-    total: Array = np.sum([np.exp(-apart / tau) for tau in FLICKER_TAUS_S], axis=0)
+    """Return the covariance of a flicker of size 1 at two times that are `apart` (any shape), s."""
+    total = np.zeros(np.shape(apart))
+    for tau in FLICKER_TAUS_S:  # one after the other, for little memory
+        total += np.exp(-apart / tau)
     return total
 
 

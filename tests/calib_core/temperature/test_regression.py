@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from stillcal.calib_core.temperature.regression import (
     Fit,
     Model,
     Observations,
+    Spans,
     curve_basis,
     learn,
 )
@@ -98,6 +100,15 @@ def test_rests_that_overstate_their_uncertainty_do_not_hide_the_flicker() -> Non
     honest, modest = (learn(replace(seen, sd=by * seen.sd), model, now).wander for by in (1.0, 5.0))
     assert modest.declared < 0.4 < honest.declared
     assert modest.growth(HOUR) > 0.6 * honest.growth(HOUR)
+
+
+def test_the_flicker_of_many_rests_takes_the_memory_of_a_few_matrices() -> None:
+    spans, n = Spans(np.arange(300.0)), 300
+    tracemalloc.start()
+    assert spans.flicker.shape == (n, n)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5 * 8 * n**2
 
 
 def test_uncertainty_grows_with_age_and_beyond_the_temperatures_met() -> None:
