@@ -111,8 +111,7 @@ class Driver:
             if other and np.isfinite(self._late(other)).mean() < _ENOUGH_LAGGED:
                 continue
             tried = self._with_lag(seen, other, slope)
-            again = Regression(tried, model).fit(t, fit.steps, fit.wander, search=False)
-            scores[other] = again.log_likelihood
+            scores[other] = Regression(tried, model).log_likelihood(fit.wander, fit.steps)
         best = max(scores, key=lambda lag: scores[lag])
         if lag_s in scores and scores[best] <= scores[lag_s] + _LIKELIER_LAG:
             best = lag_s

@@ -310,6 +310,10 @@ class Regression:
             steps,
         )
 
+    def log_likelihood(self, wander: Wander, steps: tuple[Step, ...]) -> float:
+        """Return that of the fit with this wander and these steps, without making the fit."""
+        return self._judged(wander, steps).score
+
     def _fill_covariance(self, total: Array, wander: Wander, steps: tuple[Step, ...]) -> None:
         """Write the covariance of all values into `total` (n, n)."""
         np.multiply(self._flicker, wander.flicker**2, out=total)

@@ -16,6 +16,7 @@ from stillcal.calib_core.temperature.regression import (
     Fit,
     Model,
     Observations,
+    Regression,
     Spans,
     curve_basis,
     learn,
@@ -109,6 +110,14 @@ def test_the_flicker_of_many_rests_takes_the_memory_of_a_few_matrices() -> None:
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 5 * 8 * n**2
+
+
+def test_a_likelihood_by_itself_is_that_of_the_fit() -> None:
+    seen, _ = made(np.random.default_rng(6))
+    now = float(seen.t[-1])
+    regression = Regression(seen, Model(GYROSCOPE, 25.0, with_curve=True))
+    fit = regression.fit(now)
+    assert regression.log_likelihood(fit.wander, fit.steps) == fit.log_likelihood
 
 
 def test_uncertainty_grows_with_age_and_beyond_the_temperatures_met() -> None:
