@@ -13,8 +13,9 @@ from stillcal.calib_core.calibration.record import AccelerometerRecord, Calibrat
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.rms import rms
-from stillcal.daemon.store.files import STANDARD_INPUT, StoreError, read_standard_input
+from stillcal.daemon.store.files import StoreError, read_standard_input
 from stillcal.daemon.store.store import Store, StoreSettings
+from stillcal.daemon.system.files import STANDARD_INPUT
 from stillcal.replay.runner import Outcome
 
 _DEG = 180 / np.pi

@@ -30,9 +30,9 @@ from stillcal.daemon.store.document import (
     differences,
     parse,
 )
-from stillcal.daemon.store.files import MAX_BYTES, STANDARD_INPUT, Reading, existing, read_standard_input
+from stillcal.daemon.store.files import MAX_BYTES, Reading, existing, read_standard_input
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.system.files import read_regular
+from stillcal.daemon.system.files import STANDARD_INPUT, input_name, read_regular
 from stillcal.daemon.system.printable import printable
 
 MOST_CHANGES = 40
@@ -94,7 +94,7 @@ def history(path: Path, as_json: bool) -> None:
     if as_json:
         _print_json(rows)
         return
-    print_history(str(path), rows)
+    print_history(input_name(path), rows)
 
 
 @store_group.command(
@@ -135,7 +135,8 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
     """Add corrections that a diagnosis found to the current calibration; `stillcal apply` then uses them.
 
     Bias that follows temperature and g-sensitivity of the gyroscope can be corrected. DIAGNOSIS is the file
-    that `stillcal diagnose --json` wrote. The calibration without them stays in the history.
+    that `stillcal diagnose --json` wrote ('-': standard input). The calibration without them stays in the
+    history.
     """
     with _one_line(), Store(existing(path)) as store:
         document = store.load()
@@ -144,8 +145,8 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
         try:
             record = with_terms(document.current, _findings(diagnosis))
         except (ValueError, KeyError, TypeError) as error:
-            raise ValueError(f"{diagnosis}: {error}") from error
-        store.publish(record, f"terms from {diagnosis.name}")
+            raise ValueError(f"{input_name(diagnosis)}: {error}") from error
+        store.publish(record, f"terms from {Path(input_name(diagnosis)).name}")
     click.echo(
         f"{path}: calibration {record.id} now corrects {', '.join(term.effect for term in record.terms)}"
     )
@@ -153,8 +154,10 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
 
 def _findings(path: Path) -> list[dict[str, Any]]:
     """Read the findings of a diagnosis. Raises ValueError where the file is not one."""
+    piped = str(path) == STANDARD_INPUT
+    data = sys.stdin.buffer.read(MAX_BYTES) if piped else read_regular(path, MAX_BYTES)
     try:
-        findings = json.loads(read_regular(path, MAX_BYTES).decode("utf-8"))["findings"]
+        findings = json.loads(data.decode("utf-8"))["findings"]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
     return [dict(finding) for finding in findings]

@@ -16,12 +16,16 @@ from stillcal.calib_core.errors import TryAgainError, UserError
 from stillcal.daemon.store.atomic import SAFE, NotDurableError
 from stillcal.daemon.store.document import Fault, StoreDocument, StoreFormatError, parse
 from stillcal.daemon.store.lock import try_lock
-from stillcal.daemon.system.files import NotRegularError, TooLargeError, passing, read_regular
+from stillcal.daemon.system.files import (
+    STANDARD_INPUT,
+    NotRegularError,
+    TooLargeError,
+    passing,
+    read_regular,
+)
 
 MAX_BYTES = 64 * 2**20
 """Larger than any store; a file of this size is not a store and is not read into memory."""
-
-STANDARD_INPUT = "-"
 
 MARKS = (b'"schema"', b'"stillcal calibration"', b'"accel"', b'"gyro"')
 BEGINNING_BYTES = 200
@@ -91,7 +95,11 @@ def existing(path: Path) -> Path:
 
 def read_standard_input() -> StoreDocument:
     """Return the store that standard input holds. Raises StoreError where it holds none."""
-    data = sys.stdin.buffer.read(MAX_BYTES + 1)
+    return piped_store(sys.stdin.buffer.read(MAX_BYTES + 1))
+
+
+def piped_store(data: bytes) -> StoreDocument:
+    """Return the store that was read from standard input. Raises StoreError where it is none."""
     try:
         return parse(data)[0]
     except StoreFormatError as error:

@@ -31,6 +31,9 @@ WRONG_NAME = frozenset(
 )
 """Errors that trying again does not mend: the name is wrong, or what lies there is not ours."""
 
+STANDARD_INPUT, STANDARD_INPUT_NAME = "-", "standard input"
+"""What a person writes for it in place of a path, and what messages call it."""
+
 RESERVE_BYTES = 64 * 2**20
 """Free room that a recording leaves on the disk: the daemon's own files need some."""
 
@@ -38,6 +41,11 @@ RESERVE_BYTES = 64 * 2**20
 def flags(*names: str) -> int:
     """Return the flags of os.open of these names together; one that this system lacks counts nothing."""
     return sum(getattr(os, name, 0) for name in names)
+
+
+def input_name(path: Path | str) -> str:
+    """Return what messages call the input `path`."""
+    return STANDARD_INPUT_NAME if str(path) == STANDARD_INPUT else str(path)
 
 
 class NotRegularError(OSError):

@@ -21,12 +21,14 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import stages
 from stillcal.daemon.store.document import pretty
+from stillcal.daemon.system.files import input_name
 from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import (
     files,
     recording_files,
     refuse_collisions,
+    settings_files,
     write_output,
 )
 from stillcal.replay.commands.reading import READING, Reading, reading_options, show_notes
@@ -193,7 +195,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
             outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
         # Of two recordings the refusal itself names the one that is too short.
-        subject = f"{trace}: " if simulated is None else ""
+        subject = f"{input_name(trace)}: " if simulated is None else ""
         click.echo(f"stillcal: {subject}too little data: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
     _write(outputs, asked)
@@ -274,7 +276,7 @@ def _check(asked: _Asked) -> None:
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
     reads += files(asked.simulated_reading.gyro)
     reads += [file for path, _ in asked.witnesses for file in recording_files(path)]
-    reads += [Path(asked.phone)] if asked.phone and asked.phone.endswith(".toml") else []
+    reads += [] if asked.phone is None else settings_files(asked.phone)
     fixed = None if asked.fix_for is None else asked.fix_for[1]
     if fixed is not None and asked.phone and fixed.resolve() == Path(asked.phone).resolve():
         reads.remove(Path(asked.phone))  # the phone file that was judged is the one to be corrected
@@ -306,7 +308,7 @@ class _Outputs(NamedTuple):
 
 def _table(asked: _Asked) -> _Outputs:
     of_rests = diagnose_kept if is_daemon_state(asked.trace) else diagnose_rests
-    return _Outputs(of_rests(asked.reading.rests(asked.trace), asked.trace.name))
+    return _Outputs(of_rests(asked.reading.rests(asked.trace), Path(input_name(asked.trace)).name))
 
 
 def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:

@@ -21,6 +21,7 @@ from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.document import pretty
 from stillcal.daemon.store.store import Store
+from stillcal.daemon.system.files import input_name
 from stillcal.replay.commands.outputs import (
     files,
     recording_files,
@@ -289,13 +290,16 @@ def first_command(  # noqa: PLR0917 - click hands every option over by name
     if json_path is not None:
         write_output(json_path, (pretty(calibration) + "\n").encode())
     if store_path is not None:
-        _store(store_path, lambda before: record_of(fit, rests, prior, before), trace.name)
+        _store(store_path, lambda before: record_of(fit, rests, prior, before), Path(input_name(trace)).name)
     if warning := few_devices(prior):
         click.echo(f"stillcal: {warning}", err=True)
     if json_path == STANDARD_OUTPUT:
         return
     states = calibration["accelerometer"]["n_states"]
-    click.echo(f"{trace}: {len(rests)} rests in {states} attitudes, prior of {prior.model or 'any model'}")
+    click.echo(
+        f"{input_name(trace)}: {len(rests)} rests in {states} attitudes,"
+        f" prior of {prior.model or 'any model'}"
+    )
     sds = fit.covariance.diagonal() ** 0.5
     for name, value, sd, share in zip(prior.names, fit.values, sds, fit.shown, strict=True):
         click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {share:4.0%} from the rests")

@@ -77,9 +77,20 @@ def store_files(path: Path) -> list[Path]:
     return [path, *(path.with_name(path.name + suffix) for suffix in (".last-good", ".lock"))]
 
 
+def settings_files(name: str) -> list[Path]:
+    """Return the file that a scenario or a phone is read from, none where it is a ready one's name."""
+    path = Path(name)
+    return [path] if path == STANDARD_OUTPUT or path.suffix == ".toml" else []
+
+
 def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
-    """Raise UsageError where a file would be written over an input, or twice, or cannot be written at all."""
-    writes = list(writes)
+    """Raise UsageError where a file would be written over an input, or twice, or cannot be written at all.
+
+    Also where two inputs are "-".
+    """
+    writes, reads = list(writes), list(reads)
+    if reads.count(STANDARD_OUTPUT) > 1:
+        raise click.UsageError("standard input ('-') can be one file only; give the others by their names")
     if writes.count(STANDARD_OUTPUT) > 1:
         raise click.UsageError("standard output ('-') can take one file only; give the others a name")
     inputs, outputs = {p.resolve() for p in reads if p.exists()}, set[Path]()

@@ -19,10 +19,12 @@ from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import FORMAT, StoreDocument
-from stillcal.daemon.store.files import StoreError
+from stillcal.daemon.store.files import MAX_BYTES, StoreError, piped_store
 from stillcal.daemon.store.store import Store
+from stillcal.daemon.system.files import STANDARD_INPUT, input_name
 from stillcal.replay.commands.outputs import refuse_collisions, say, write_output
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
+from stillcal.replay.formats.sources import looked_at
 from stillcal.replay.formats.trace import Trace
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.plots import style
@@ -76,8 +78,8 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
         raise click.UsageError(f"matplotlib is not installed: {remedy}")
     refuse_collisions([out], [source])
     try:
-        if _is_store(source):
-            material = _stored(source)
+        if (document := _store(source)) is not None:
+            material = _stored(document, input_name(source))
         else:
             settings = load_settings(config).engine
             opened = reading.open(source)
@@ -85,7 +87,7 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
             show_notes(opened.notes, quiet)
         figure, omitted = draw_figure(what, material)
     except NotSupported as refusal:
-        click.echo(f"stillcal: {source}: {refusal}", err=True)
+        click.echo(f"stillcal: {input_name(source)}: {refusal}", err=True)
         sys.exit(TOO_LITTLE)
     if out == STANDARD_OUTPUT:
         write_output(out, style.png(figure))
@@ -93,26 +95,31 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
         style.save(figure, out)
     if not quiet:
         for line in omitted:
-            click.echo(f"stillcal: {source}: {line}", err=True)
+            click.echo(f"stillcal: {input_name(source)}: {line}", err=True)
         say(out, "drawn")
 
 
-def _is_store(path: Path) -> bool:
-    """Whether a file is a store, by the format that it names itself."""
-    if path.suffix != ".json" or not path.is_file():
-        return False
+def _store(path: Path) -> StoreDocument | None:
+    """Return the store in a file, or on standard input ("-"); None where it does not call itself one."""
+    piped = str(path) == STANDARD_INPUT
+    if not piped and (path.suffix != ".json" or not path.is_file()):
+        return None
+    with looked_at(path).open() as file:
+        data = file.read(1)
+        data += file.read(MAX_BYTES) if data == b"{" else b""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(data)
     except ValueError:
-        return False
-    return isinstance(content, dict) and content.get("format") == FORMAT
+        return None
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        return None
+    return piped_store(data) if piped else Store(path).load() or StoreDocument()
 
 
-def _stored(path: Path) -> Material:
-    document = Store(path).load()
-    if document is None:
-        raise StoreError(f"{path}: has no calibration; run stillcal replay or the daemon first")
-    return of_record(document.current, path.name, tuple(_moments(document)))
+def _stored(document: StoreDocument, name: str) -> Material:
+    if document.current is None:
+        raise StoreError(f"{name}: has no calibration; run stillcal replay or the daemon first")
+    return of_record(document.current, Path(name).name, tuple(_moments(document)))
 
 
 def _moments(document: StoreDocument) -> list[Moment]:

@@ -29,6 +29,7 @@ from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import calibration_json, pretty
+from stillcal.daemon.system.files import STANDARD_INPUT, input_name
 from stillcal.replay.commands.outputs import (
     files,
     new_recording_files,
@@ -41,7 +42,6 @@ from stillcal.replay.commands.outputs import (
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.sources import STANDARD_INPUT, STANDARD_INPUT_NAME
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
@@ -115,7 +115,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
     calibrations = [*calibrated_by_faces(outcome, settings.engine)] if faces else full(calibrations)
-    name = STANDARD_INPUT_NAME if trace == STANDARD_OUTPUT else trace.name
+    name = Path(input_name(trace)).name
     if store_path is not None and calibrations:
         for note in keep_in_store(store_path, calibrations, name, settings.store):
             click.echo(f"stillcal: {note}", err=True)
@@ -124,8 +124,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     if not quiet and json_path != STANDARD_OUTPUT:
         _print_outcome(outcome, name, store_path if calibrations else None)
     if outcome.record is None or outcome.record.accelerometer is None:
-        shown = name if trace == STANDARD_OUTPUT else trace
-        click.echo(f"stillcal: {shown}: no calibration: {why_not(outcome)}", err=True)
+        click.echo(f"stillcal: {input_name(trace)}: no calibration: {why_not(outcome)}", err=True)
         sys.exit(TOO_LITTLE)
 
 
@@ -175,7 +174,7 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
             step(opened.bytes_read)
     show_notes(opened.notes, quiet)
     for warning in suits.warnings():
-        click.echo(f"stillcal: {trace}: {warning}", err=True)
+        click.echo(f"stillcal: {input_name(trace)}: {warning}", err=True)
     if not quiet:
         say(out, f"corrected with calibration {record.id}")
         for sensor, mean in means.items():

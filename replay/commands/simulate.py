@@ -17,9 +17,16 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import FiniteRange, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.document import pretty
+from stillcal.daemon.system.files import input_name
 from stillcal.daemon.system.requirements import PSEUDO_TERMINAL, require
 from stillcal.daemon.system.signals import run_until_signalled
-from stillcal.replay.commands.outputs import files, new_recording_files, refuse_collisions, write_output
+from stillcal.replay.commands.outputs import (
+    files,
+    new_recording_files,
+    refuse_collisions,
+    settings_files,
+    write_output,
+)
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.writer import STANDARD_OUTPUT, TraceWriter
@@ -59,7 +66,12 @@ from stillcal.replay.phone.simulation import Chunk, TrueModel
     show_default=True,
     help="The same seed gives the same recording.",
 )
-@click.option("--phone", default="typical", show_default=True, help="A ready phone, or a phone.toml.")
+@click.option(
+    "--phone",
+    default="typical",
+    show_default=True,
+    help="A ready phone, or a phone.toml ('-': standard input).",
+)
 @click.option(
     "--truth",
     type=click.Path(path_type=Path),
@@ -79,19 +91,19 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
 ) -> None:
     """Write the recording that a simulated phone makes in SCENARIO.
 
-    SCENARIO is a ready one (lab, tables, desk, day, night, drive, laundry, starved, week) or a TOML file.
-    The events (.events.jsonl) and the maker's claims (.json) are written beside the recording; the true
-    sensor errors only with --truth. With --serial the phone streams to a daemon instead, until the daemon has
-    received everything.
+    SCENARIO is a ready one (lab, tables, desk, day, night, drive, laundry, starved, week) or a TOML file
+    ('-': standard input). The events (.events.jsonl) and the maker's claims (.json) are written beside the
+    recording; the true sensor errors only with --truth. With --serial the phone streams to a daemon instead,
+    until the daemon has received everything.
     """
     if serial == (out is not None):
         raise click.UsageError("give either --out for a recording, or --serial for a live stream")
     if not serial and (port is not None or speed is not None):
         raise click.UsageError("--port and --speed need --serial")
-    simulation = _simulation(scenario, phone, seed)
-    inputs = [path for path in (Path(scenario), Path(phone)) if path.suffix == ".toml"]
+    inputs = [*settings_files(scenario), *settings_files(phone)]
     outputs = [*([] if out is None else new_recording_files(out)), *files(truth, port)]
     refuse_collisions(outputs, inputs)
+    simulation = _simulation(scenario, phone, seed)
     if out is not None:
         _write(simulation, out, quiet)
     else:
@@ -100,8 +112,8 @@ def simulate_command(  # noqa: PLR0917 - click hands every option over by name
         write_output(truth, (pretty(truth_of(simulation)) + "\n").encode())
     if not quiet:
         where = "" if out in (None, STANDARD_OUTPUT) else f"{out}: "
-        made = f"{where}{simulation.duration:.0f} s of {scenario}, phone {phone}, seed {seed}"
-        click.echo(made, err=STANDARD_OUTPUT in (out, truth))
+        of = f"{input_name(scenario)}, phone {input_name(phone)}, seed {seed}"
+        click.echo(f"{where}{simulation.duration:.0f} s of {of}", err=STANDARD_OUTPUT in (out, truth))
 
 
 def _write(simulation: Simulation, out: Path, quiet: bool) -> None:

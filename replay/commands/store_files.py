@@ -13,13 +13,20 @@ from stillcal.calib_core.errors import UserError
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.store.files import existing
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.system.files import read_regular
-from stillcal.replay.commands.outputs import called, files, refuse_collisions, say, store_files, write_output
+from stillcal.daemon.system.files import STANDARD_INPUT, input_name, read_regular
+from stillcal.replay.commands.outputs import (
+    called,
+    files,
+    refuse_collisions,
+    say,
+    settings_files,
+    store_files,
+    write_output,
+)
 from stillcal.replay.export.imu import of_record
 from stillcal.replay.export.stored import not_in_file, record_of
 from stillcal.replay.export.target import MAX_BYTES, exported
 from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
-from stillcal.replay.formats.sources import STANDARD_INPUT, STANDARD_INPUT_NAME
 from stillcal.replay.outcome import current_in_store
 from stillcal.replay.phone.phone import Phone, load_phone
 
@@ -45,7 +52,7 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     What the tool cannot hold is named on standard error and in the file's comments, with its numbers.
     docs/export.md says what each tool holds and in which units, signs and axes.
     """
-    reads = [*store_files(path), *([Path(phone)] if phone and phone.endswith(".toml") else [])]
+    reads = [*store_files(path), *([] if phone is None else settings_files(phone))]
     refuse_collisions([out], reads)
     target = target_named(tool)
     known = None if phone is None else _phone(phone)
@@ -100,7 +107,7 @@ def _naming(source: Path) -> Iterator[None]:
 
 
 def _named(source: Path) -> str:
-    return STANDARD_INPUT_NAME if str(source) == STANDARD_INPUT else source.name
+    return Path(input_name(source)).name
 
 
 def _bytes_of(source: Path) -> bytes:

@@ -9,6 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
+from stillcal.daemon.system.files import input_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap, find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.tables.table import EMPTY
@@ -32,8 +33,8 @@ def read_rest_table(path: Path | str) -> list[RestState]:
     rows weigh alike and the residuals have to tell the rest. Rows without t are numbered 0, 1, 2, ...
     in its place. Raises TraceError.
     """
-    path = Path(path)
-    columns = _columns(path)
+    columns = _columns(Path(path))
+    path = input_name(path)
     force = _axes(columns, ("ax", "ay", "az"))
     if force is None:
         missing = next(name for name in ("ax", "ay", "az") if name not in columns)
@@ -81,6 +82,7 @@ def _along(force: Array, sd: Array) -> float:
 def _columns(path: Path) -> dict[str, Array]:
     """Return the table's known columns by name, each (n,). Raises TraceError on what is not finite."""
     table = TextTable(path, _LAYOUT)
+    path = table.path
     names = [c for c in ("ax", "ay", "az", *_OPTIONAL) if find_columns([c], table.names, table.width)]
     if not names:
         raise TraceError(path, "none of the columns ax, ay, az", "name the means of a rest table so", 1)

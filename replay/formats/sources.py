@@ -22,10 +22,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from stillcal.daemon.system.files import flags
+from stillcal.daemon.system.files import STANDARD_INPUT, STANDARD_INPUT_NAME, flags
 from stillcal.replay.formats.errors import TraceError
 
-STANDARD_INPUT, STANDARD_INPUT_NAME = "-", "standard input"
 HEAD_BYTES = 1 << 16
 """Bytes by which a format is recognised."""
 
@@ -105,6 +104,22 @@ def source_of(path: Path | str, check: Check = Source.head) -> Source:
     check: is called on the beginning of what a pipe gives, before the rest is waited for. Raises TraceError
     where there is no such file, or it is a folder, a device, a socket or one of the kernel's own files.
     """
+    return _looked_at.pop(str(path), None) or _opened(path, check)
+
+
+def looked_at(path: Path | str, check: Check = Source.head) -> Source:
+    """Return the bytes at `path` as `source_of` does, which gives those of a pipe once more after this."""
+    found = source_of(path, check)
+    if found.said:
+        _looked_at[str(path)] = found
+    return found
+
+
+_looked_at: dict[str, Source] = {}
+"""What pipes gave, by their names, until it is asked for: a pipe can be read once."""
+
+
+def _opened(path: Path | str, check: Check) -> Source:
     if str(path) == STANDARD_INPUT:
         return _standard_input(check)
     path = Path(path)

@@ -15,6 +15,7 @@ import numpy as np
 from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.system.files import STANDARD_INPUT
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.conversion.by_name import writer_class
@@ -22,7 +23,6 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import Cut, cut, merged
 from stillcal.replay.formats.recognition.log import Log
 from stillcal.replay.formats.recognition.opened import open_log
-from stillcal.replay.formats.sources import STANDARD_INPUT
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.notebook import html_table
 

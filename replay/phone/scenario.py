@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from importlib.resources import files
 from pathlib import Path
@@ -9,7 +10,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from stillcal.daemon.system.files import NotRegularError, read_regular
+from stillcal.daemon.system.files import STANDARD_INPUT, STANDARD_INPUT_NAME, NotRegularError, read_regular
 from stillcal.replay.phone.activities.carried import Drive, Hand, Pocket, Stairs, Walk
 from stillcal.replay.phone.activities.resting import Desk, Mattress, Place, Poses, Rest, Table, Washer
 from stillcal.replay.phone.settings import Settings, require
@@ -45,16 +46,21 @@ class Scenario(Settings, frozen=True, kw_only=True, rename={"segments": "segment
 
 
 def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
-    """Read a settings file by path, or by name from the package's own `folder`.
+    """Read a settings file by path, by name from the package's own `folder`, or from standard input ("-").
 
     Raises ValueError naming the file and the field where it is not found or does not fit.
     """
     path = Path(name)
     source: Any = path
-    if path.suffix != ".toml":
+    if str(name) == STANDARD_INPUT:
+        source = STANDARD_INPUT_NAME
+    elif path.suffix != ".toml":
         source = files("stillcal.config") / folder / f"{name}.toml"
     try:
-        text = read_regular(path, MOST_BYTES) if source is path else source.read_bytes()
+        if source == STANDARD_INPUT_NAME:
+            text = sys.stdin.buffer.read(MOST_BYTES)
+        else:
+            text = read_regular(path, MOST_BYTES) if source is path else source.read_bytes()
         table = tomllib.loads(text.decode())
         return msgspec.convert(table, type=kind)
     except FileNotFoundError as error:

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import STANDARD_INPUT
 from stillcal.replay.formats.claims import Claims, written_by_stillcal
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
@@ -47,7 +48,7 @@ from stillcal.replay.formats.recognition.text_formats import (
     text_format,
 )
 from stillcal.replay.formats.shipped import located
-from stillcal.replay.formats.sources import STANDARD_INPUT, Source, source_of
+from stillcal.replay.formats.sources import Source, looked_at, source_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.echoed import Echoed
 from stillcal.replay.formats.tables.json_table import JsonTable
@@ -87,12 +88,12 @@ def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | No
 def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
     """Whether a file is a rest table: so named, or recognised as one. Raises TraceError."""
     format = None if str(format) == AUTO else format
-    if format is not None or str(path) == STANDARD_INPUT:
+    if format is not None:
         return str(format) == REST
     found = located(path)
-    if not found.is_file():
+    if str(path) != STANDARD_INPUT and not found.is_file() and not found.is_fifo():
         return False
-    source = source_of(found)
+    source = looked_at(found, magic.kind_of)
     return magic.kind_of(source) == magic.TEXT and text_format(source).name == REST
 
 

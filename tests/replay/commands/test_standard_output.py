@@ -76,6 +76,65 @@ def test_what_cannot_be_a_store_on_standard_input_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+REST_TABLE = b"ax,ay,az\n0,0,9.9\n0,0,-9.7\n0,9.81,0\n0,-9.81,0\n9.81,0,0\n-9.81,0,0\n"
+
+
+def test_a_rest_table_comes_through_a_pipe_as_from_a_file(tmp_path: Path) -> None:
+    (tmp_path / "r.csv").write_bytes(REST_TABLE)
+    of_file = ran("replay", tmp_path / "r.csv", "--json", "-")
+    assert of_file.returncode == 0 and b'"bias"' in of_file.stdout
+    assert ran("replay", "-", "--json", "-", given=REST_TABLE).stdout == of_file.stdout
+    reading, writing = os.pipe()
+    os.write(writing, REST_TABLE)
+    os.close(writing)
+    named = [STILLCAL, "replay", f"/dev/fd/{reading}", "--json", "-"]
+    piped = subprocess.run(named, capture_output=True, pass_fds=[reading], check=False)
+    assert piped.stdout == of_file.stdout
+    os.close(reading)
+    few = ran("diagnose", "-", given=REST_TABLE)
+    assert few.returncode == 3 and few.stderr.startswith(
+        b"stillcal: standard input: too little data: 6 rests"
+    )
+    bad = ran("replay", "-", "--format", "rest", given=b"ax,ay,az\n0,0,0\n0,0,0\n")
+    assert bad.returncode == 2 and bad.stderr.startswith(b"stillcal: standard input: all rests read zero")
+
+
+def test_a_store_from_a_pipe_is_drawn_as_from_its_file(folder: Path, tmp_path: Path) -> None:
+    store = (folder / "store.json").read_bytes()
+    piped = ran("plot", "-", "--what", "history", "--out", "-", given=store)
+    assert piped.returncode == 0 and piped.stdout.startswith(b"\x89PNG")
+    broken = ran("plot", "-", "--out", "-", given=store.replace(b'"checksum"', b'"sum"'))
+    assert broken.returncode == 2 and b"standard input cannot be used as a store" in broken.stderr
+
+
+def test_settings_of_a_simulation_come_through_a_pipe() -> None:
+    scenario = b'duration_s = 2.0\n[[segment]]\nactivity = "rest"\nduration_s = 2.0\n'
+    made = ran("simulate", "-", "--out", "-", given=scenario)
+    assert made.returncode == 0 and made.stdout.startswith(b"t,ax,ay,az"), made.stderr
+    assert made.stderr.endswith(b"2 s of standard input, phone typical, seed 0\n")
+    bad = ran("simulate", "lab", "--phone", "-", "--out", "-", given=b"a = 1\n")
+    assert bad.returncode == 2 and b"standard input: Object" in bad.stderr
+    both = ran("simulate", "-", "--phone", "-", "--out", "-", given=scenario)
+    assert both.returncode == 2 and b"standard input ('-') can be one file only" in both.stderr
+
+
+def test_a_diagnosis_comes_through_a_pipe(folder: Path, tmp_path: Path) -> None:
+    store = (folder / "store.json").read_bytes()
+    (tmp_path / "store.json").write_bytes(store)
+    finding = {
+        "effect": "gyro_bias_temperature",
+        "sensor": "gyro",
+        "parameters": {"slope": {"value": [1e-4, 0.0, 0.0]}},
+        "reference": {"temperature_c": 25.0},
+    }
+    given = json.dumps({"findings": [finding]}).encode()
+    adopted = ran("store", "adopt-terms", tmp_path / "store.json", "-", given=given)
+    assert adopted.returncode == 0 and b"now corrects gyro_bias_temperature" in adopted.stdout, adopted.stderr
+    bad = ran("store", "adopt-terms", tmp_path / "store.json", "-", given=b"{}")
+    assert bad.returncode == 2 and bad.stderr.startswith(b"stillcal: standard input: not a diagnosis")
+    assert ran("store", "history", "-", given=store).stdout.split()[:2] == [b"standard", b"input"]
+
+
 def test_a_calibration_goes_to_a_tool_and_back_through_a_pipe(folder: Path) -> None:
     store, back = folder / "store.json", folder / "back.json"
     exported = ran("store", "export", store, "--to", "npz", "--out", "-")
