@@ -12,7 +12,7 @@ import pyarrow as pa
 import scipy.io
 from pyarrow import parquet
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_typestore
 
@@ -134,14 +134,18 @@ def imu_message(store, row: np.ndarray, *, force: bool = True, rate: bool = True
     )
 
 
-def ros1_bag(folder: Path, data: np.ndarray = DATA, **what: bool) -> Path:
+def ros1_bag(
+    folder: Path, data: np.ndarray = DATA, topics: dict[str, int] | None = None, **what: bool
+) -> Path:
+    """topics: of how many rows each topic has one, by name."""
     store = get_typestore(Stores.ROS1_NOETIC)
     path = folder / "walk.bag"
     with Writer1(path) as writer:
-        topic = writer.add_connection("/imu/data", IMU, typestore=store)
-        for row in data:
-            message = store.serialize_ros1(imu_message(store, row, **what), IMU)
-            writer.write(topic, round((2000 + row[0]) * 1e9), message)
+        for name, every in (topics or {"/imu/data": 1}).items():
+            topic = writer.add_connection(name, IMU, typestore=store)
+            for row in data[::every]:
+                message = store.serialize_ros1(imu_message(store, row, **what), IMU)
+                writer.write(topic, round((2000 + row[0]) * 1e9), message)
     return path
 
 
@@ -151,11 +155,15 @@ def ros2_bag(
     split: bool = False,
     data: np.ndarray = DATA,
     rate_later_s: float = 0.0,
+    compressed: bool = False,
 ) -> Path:
-    """rate_later_s: by how much the stamps of the rates' own topic are later."""
+    """rate_later_s: by how much the stamps of the rates' own topic are later; compressed: each message."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     path = folder / "walk"
-    with Writer2(path, version=9, storage_plugin=storage) as writer:
+    writer = Writer2(path, version=9, storage_plugin=storage)
+    if compressed:
+        writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
+    with writer:
         names = ["/camera/accel/sample", "/camera/gyro/sample"] if split else ["/imu"]
         topics = [writer.add_connection(name, IMU, typestore=store) for name in names]
         for row in data:

@@ -27,7 +27,7 @@ from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.recognition import magic
-from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
+from stillcal.replay.formats.recognition.log import BOTH, USABLE_HZ, Log, LoggedSensor, Part
 from stillcal.replay.formats.recognition.settle import rate_unit_shown
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable
@@ -59,6 +59,10 @@ _MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 _NAMES = ["stamp", "logged", "gx", "gy", "gz", "ax", "ay", "az", "temperature"]
 _MOST_TEMPERATURES = 1_000_000
+_RAW = "_raw"
+"""How the name of a topic ends whose values nothing was done to (imu/data_raw, REP 145)."""
+
+_ZSTD = b"\x28\xb5\x2f\xfd"
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,7 +318,8 @@ class _Bag:
             for s in stored:
                 counts[s.topic] += s.count
             probed = [self._probed(name, found[name], counts[name]) for name in sorted(found)]
-            return [topic for topic in probed if topic is not None]
+            topics = [topic for topic in probed if topic is not None]
+            return sorted(topics, key=lambda t: (t.rate_hz < USABLE_HZ, not t.name.endswith(_RAW)))
 
     def _probed(self, name: str, layout: str, count: int) -> _Topic | None:
         """Return a topic by its first messages, None without any. Raises TraceError on another layout."""
@@ -338,6 +343,9 @@ class _Bag:
         ends = 16 + length + 8 * _DOUBLES
         aligned = 4 + -(-(12 + length) // 8) * 8 + 8 * _DOUBLES
         if len(raw) != (ends if layout == "ros1" else aligned) or (layout == "cdr" and raw[1] != 1):
+            if raw.startswith(_ZSTD):
+                what = f"the messages of {topic} are compressed one by one"
+                raise TraceError(self._path, what, "give the bag's folder, whose metadata.yaml says so")
             what = f"the messages of {topic} are not laid out as little-endian sensor_msgs/Imu"
             raise TraceError(self._path, what, "export them as CSV")
 

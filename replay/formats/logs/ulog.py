@@ -20,7 +20,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
-from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
+from stillcal.replay.formats.recognition.log import BOTH, USABLE_HZ, Log, LoggedSensor, Part
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable, in_arrays
 
@@ -32,8 +32,6 @@ _TOPICS = [
     "vehicle_imu",
     "sensor_combined",
 ]
-_USABLE_HZ = 10.0
-"""A topic logged more slowly than this is listed last: PX4 logs raw sensors at 1 Hz by default."""
 
 _NO_RELATIVE = 0x7FFFFFFF
 """sensor_combined's accelerometer_timestamp_relative without a sample: RELATIVE_TIMESTAMP_INVALID."""
@@ -94,7 +92,7 @@ def open_ulog(source: Source) -> Log:
     topics = {(d.name, d.multi_id): d.data for d in ulog.data_list}
     read = _Reader(source, stored.size, topics)
     try:
-        sensors = sorted(read.sensors(ulog.initial_parameters), key=lambda found: found[0] < _USABLE_HZ)
+        sensors = sorted(read.sensors(ulog.initial_parameters), key=lambda found: found[0] < USABLE_HZ)
     except (LookupError, TypeError, ValueError) as error:
         what = f"the ULog is damaged (the fields of a topic are not PX4's: {error})"
         raise TraceError(source.path, what, "copy it from the vehicle again") from None

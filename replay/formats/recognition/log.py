@@ -13,6 +13,9 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.table import Table
 
+USABLE_HZ = 10.0
+"""A sensor of a log that was logged less often is listed last: PX4 logs raw sensors at 1 Hz by default."""
+
 
 class GyroscopeAloneError(TraceError):
     """A recording holds rates and no acceleration."""

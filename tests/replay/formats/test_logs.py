@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import struct
 from collections.abc import Callable
@@ -85,6 +86,21 @@ def test_a_ros_1_bag(tmp_path: Path) -> None:
     assert_same(recording, start=1000)
     arrival = recording.accelerometer.t_arrival
     assert arrival is not None and abs(arrival[0] - 2000) < 1e-6
+
+
+def test_of_several_topics_the_raw_one_that_was_logged_often_enough_is_first(tmp_path: Path) -> None:
+    topics = {"/imu/data": 1, "/imu/data_raw": 2, "/aft/imu/data_raw": 25}
+    trace = open_trace(ros1_bag(tmp_path, topics=topics))
+    listed = re.findall(r"\S+(?= \([\d.]+ Hz\))", trace.notes[0])
+    assert listed == ["/imu/data_raw", "/imu/data", "/aft/imu/data_raw"]
+    assert "reading /imu/data_raw" in trace.notes[0]
+
+
+def test_a_bag_of_compressed_messages_is_read_as_its_folder(tmp_path: Path) -> None:
+    folder = ros2_bag(tmp_path, compressed=True)
+    np.testing.assert_array_equal(read_all(folder).accelerometer.xyz, DATA[:, 1:4])
+    with pytest.raises(TraceError, match=r"of /imu are compressed one by one; give the bag's folder"):
+        open_trace(next(folder.glob("*.db3")))
 
 
 def test_a_bag_without_stamps_is_read_by_the_times_of_logging(tmp_path: Path) -> None:
