@@ -15,6 +15,9 @@ from stillcal.replay.formats.stream import Run, SampleFile
 
 Pair = tuple[Samples, Samples]
 
+ALONE_S = 10.0
+"""s: how long one sensor is on without the other before it is said. Phones start both within a second."""
+
 
 def merged(files: Sequence[SampleFile], max_rows: int) -> Iterator[Pair]:
     """Yield (accelerometer, gyroscope) runs of at most `max_rows` samples each, in time order.
@@ -87,6 +90,31 @@ class Cut:
                 yield accelerometer, gyroscope
             if any(len(s) and s.t[-1] > high for s in pair):
                 return
+
+
+class Spans:
+    """When the two sensors were on, as runs are seen in time order."""
+
+    def __init__(self) -> None:
+        self._ends: dict[Sensor, tuple[float, float]] = {}
+
+    def see(self, *run: Samples) -> None:
+        """Take in a run of both sensors."""
+        for samples in run:
+            if len(samples):
+                first, _ = self._ends.get(samples.sensor, (float(samples.t[0]), 0.0))
+                self._ends[samples.sensor] = first, float(samples.t[-1])
+
+    def said(self) -> Iterator[str]:
+        """Say of each sensor for how long the other one was on without it, where that is long."""
+        if len(self._ends) < 2:
+            return
+        begin = min(first for first, _ in self._ends.values())
+        end = max(last for _, last in self._ends.values())
+        for sensor, (first, last) in self._ends.items():
+            if first - begin + end - last > ALONE_S:
+                span = f"{first - begin:.1f} to {last - begin:.1f} s"
+                yield f"the {sensor} has samples from {span} only, of {end - begin:.1f} s"
 
 
 class _Side:

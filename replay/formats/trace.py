@@ -20,7 +20,7 @@ from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.merge import Cut, cut, merged
+from stillcal.replay.formats.merge import Cut, Spans, cut, merged
 from stillcal.replay.formats.recognition.log import Log
 from stillcal.replay.formats.recognition.opened import open_log
 from stillcal.replay.formats.stream import SampleFile
@@ -136,6 +136,7 @@ class Trace:
         self._files = chosen.files(self.claims)
         self._notes = [*log.notes, *said, *chosen.notes]
         self._cut = cut or Cut()
+        self._alone: list[str] = []
 
     @property
     def has_gyroscope(self) -> bool:
@@ -170,7 +171,7 @@ class Trace:
     @property
     def notes(self) -> list[str]:
         """What was tolerated or chosen while reading, one line each; complete after reading to the end."""
-        return [*self._notes, *(note for file in self._files for note in file.notes)]
+        return [*self._notes, *(note for file in self._files for note in file.notes), *self._alone]
 
     def claimed_gravity(self) -> float | None:
         """Return the local gravity that the maker claims; see claims.claimed_gravity."""
@@ -188,9 +189,10 @@ class Trace:
         events = list(self.events)
         total = 0
         last: Chunk | None = None
-        units = UnitCheck(self.path)
+        units, spans = UnitCheck(self.path), Spans()
         for accelerometer, gyroscope in self._cut.applied(merged(self._files, max_rows)):
             units.see(accelerometer, gyroscope)
+            spans.see(accelerometer, gyroscope)
             if last is not None:
                 yield last
             if last is None:
@@ -205,6 +207,7 @@ class Trace:
             what = f"{where} {'one' if total else 'no'} accelerometer sample"
             raise TraceError(self.path, what, "give a recording of some minutes")
         units.finish()
+        self._alone = [f"{self.path.name}: {line}" for line in spans.said()]
         late = () if self._cut.stop is not None else tuple(events)
         yield Chunk(last.accelerometer, last.gyroscope, last.events + late)
 

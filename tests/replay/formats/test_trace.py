@@ -268,3 +268,14 @@ def test_a_bad_rest_table_is_refused(tmp_path: Path, text: str, what: str) -> No
         read_rest_table(path)
     with pytest.raises(TraceError, match="holds no samples"):
         open_trace(path, "rest")
+
+
+def test_a_sensor_that_was_on_for_a_part_of_the_time_is_told_of(tmp_path: Path) -> None:
+    lines = [HEADER, *(",".join(map(repr, row)) for row in still(3000).tolist())]
+    (tmp_path / "both.csv").write_text("\n".join(lines))
+    assert read_all(tmp_path / "both.csv").notes == []
+    lines[1501:] = [",".join([*line.split(",")[:4], "", "", ""]) for line in lines[1501:]]
+    (tmp_path / "part.csv").write_text("\n".join(lines))
+    _, note = read_all(tmp_path / "part.csv").notes
+    assert note == "part.csv: the gyroscope has samples from 0.0 to 15.0 s only, of 30.0 s"
+    assert len(read_all(tmp_path / "part.csv", stop=20.0).notes) == 1, "5 s alone are not told of"
