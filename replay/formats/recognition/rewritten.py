@@ -109,17 +109,32 @@ def _without_groups(lines: Sequence[str]) -> Rewrite | None:
     delimiter = delimiter_of(filled[-1]) if filled else " "
     if delimiter == " ":
         return None
+    text = "\n".join(filled)
+    first = _columns_of_numbers([quoted_cells(line, delimiter) for line in filled[:_LOOKED_AT]])
+    marks = [
+        (mark, decimal)
+        for mark, decimal in _GROUP_MARKS
+        if re.search(mark, text) and (mark != delimiter or '"' in text) and _groups(mark, decimal, first)
+    ]
+    if not marks:
+        return None  # seen from the first lines: to look at all of them takes longest of the recognition
     columns = _columns_of_numbers([quoted_cells(line, delimiter) for line in filled])
-    cells = [cell for column in columns for cell in column]
-    text = "\n".join(cells)
-    for mark, decimal in _GROUP_MARKS:
-        if not re.search(mark, text):
-            continue
-        grouped = re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
-        with_mark = (cell for cell in cells if re.search(mark, cell))
-        if all(map(grouped.fullmatch, with_mark)) and _is_shown(mark, decimal, columns, delimiter):
-            return partial(_without_marks, delimiter, re.compile(mark), grouped)
+    for mark, decimal in marks:
+        there = any(re.search(mark, cell) for column in columns for cell in column)
+        if there and _groups(mark, decimal, columns) and _is_shown(mark, decimal, columns, delimiter):
+            return partial(_without_marks, delimiter, re.compile(mark), _grouped(mark, decimal))
     return None
+
+
+def _grouped(mark: str, decimal: str) -> re.Pattern[str]:
+    """Return what a number looks like that has a mark between its thousands."""
+    return re.compile(rf"[-+]?[1-9]\d{{0,2}}((?:{mark})\d{{3}})+(?:(?:{decimal})\d+)?")
+
+
+def _groups(mark: str, decimal: str, columns: Sequence[Sequence[str]]) -> bool:
+    """Whether all numbers in columns that have a mark have it between thousands."""
+    grouped = _grouped(mark, decimal)
+    return all(grouped.fullmatch(cell) for column in columns for cell in column if re.search(mark, cell))
 
 
 def _is_shown(mark: str, decimal: str, columns: Sequence[Sequence[str]], delimiter: str) -> bool:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.trace import read_all
+from stillcal.replay.formats.recognition import rewritten
+from stillcal.replay.formats.trace import open_trace, read_all
 
 N = 60
 RNG = np.random.default_rng(4)
@@ -158,6 +159,31 @@ def test_a_quoted_comma_beside_decimal_points_stands_between_thousands(tmp_path:
     path = tmp_path / "r.csv"
     path.write_text("\n".join(["time_s,ax_mg,ay_mg,az_mg", *rows]) + "\n")
     np.testing.assert_allclose(read_all(path).accelerometer.xyz, FORCE, atol=0.01)
+
+
+def test_marks_between_thousands_may_come_after_many_rows_without(tmp_path: Path) -> None:
+    heights = ["998"] * 300 + ["1\u202f006"] * 100
+    table = "".join(f"{10 * i};{i % 7};20;{z}\n" for i, z in enumerate(heights))
+    path = tmp_path / "r.csv"
+    path.write_text(f"time_ms;ax_mg;ay_mg;az_mg\n{table}")
+    assert read_all(path).accelerometer.xyz[-1, 2] == pytest.approx(1.006 * 9.80665)
+
+
+def test_a_plain_table_is_recognised_by_its_first_lines(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """That no number has marks between thousands is seen there; all lines would take longer than the rest."""
+    split: list[str] = []
+
+    def counted(line: str, delimiter: str) -> list[str]:
+        split.append(line)
+        return line.split(delimiter)
+
+    monkeypatch.setattr(rewritten, "quoted_cells", counted)
+    path = tmp_path / "r.csv"
+    path.write_text("t,ax,ay,az\n" + "".join(f"{i / 100},0.125,0.25,9.8{i % 10}\n" for i in range(1000)))
+    open_trace(path)
+    assert 0 < len(split) <= 50
 
 
 def test_decimal_commas_of_few_different_values_are_no_names_of_devices(tmp_path: Path) -> None:
