@@ -302,8 +302,8 @@ def first_command(  # noqa: PLR0917 - click hands every option over by name
     )
     sds = fit.covariance.diagonal() ** 0.5
     for name, value, sd, share in zip(prior.names, fit.values, sds, fit.shown, strict=True):
-        click.echo(f"  {name:5} {value:+9.4f} ± {sd:.4f}   {share:4.0%} from the rests")
-    click.echo(f"  norm at rest is known to {fit.worst_norm_uncertainty:.3f} m/s² along the worst direction")
+        click.echo(f"  {name:5} {value:+10.5f} ± {sd:<7.2g}   {share:4.0%} from the rests")
+    click.echo(f"  norm at rest is known to {fit.worst_norm_uncertainty:.2g} m/s² along the worst direction")
     if store_path is not None:
         click.echo(f"  stored in {store_path}")
 

@@ -58,6 +58,7 @@ COPIES: dict[str, Callable[[Path, np.ndarray], Path]] = {
     "MATLAB, by scipy": made.mat,
     "NPZ, by numpy": made.npz,
     "phyphox, zip in the app's layout": lambda f, data: made.as_zip(f, made.phyphox_files(data)),
+    "phyphox on iOS, zip in the app's layout": lambda f, data: made.as_zip(f, made.phyphox_ios_files(data)),
     "Sensor Logger, zip in the app's layout": lambda f, data: made.as_zip(
         f, made.sensor_logger_files(bias=(0, 0, 0), data=data, force_bias=0.0)
     ),

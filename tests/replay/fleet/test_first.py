@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -168,6 +169,8 @@ def test_a_first_calibration_is_stored_and_a_prior_of_few_devices_is_warned_of(
     said = CliRunner().invoke(cli, ["fleet-first", str(path), "--prior", str(few), "--store", str(store)])
     assert said.exit_code == 0, said.output
     assert said.stderr.count("learnt from 16 devices: below 20") == 1
+    uncertainties = re.findall(r"± (\S+)", said.stdout)
+    assert len(uncertainties) == 9 and all(float(text) > 0 for text in uncertainties), "none is rounded to 0"
     kept = current_in_store(store)
     assert kept.accelerometer is not None and kept.accelerometer.with_prior
     np.testing.assert_allclose(kept.accelerometer.bias, [0.392266, -0.2941995, 0.196133], atol=0.02)
