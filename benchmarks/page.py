@@ -26,9 +26,11 @@ SECTIONS = {
         "samples. The engine looks for rests at every sample, reviews and checks all day, and estimates "
         "cross-axis terms too. The exponent is of processor time against length, where 1 is in "
         "proportion; every length runs in a process of its own and is read block by block, the same day "
-        "again and again. pandas and pyarrow only parse; reading here also looks for units, gaps, repeats "
-        "and readings that no sensor gives. The engine cuts the stream at each of its reviews, and most of "
-        "what a review takes is the fixed cost of numpy's calls on few windows.",
+        "again and again. To pandas and pyarrow, which only parse, the least is added that gives the same "
+        "checks: stamps that do not run back, readings that are finite, no sensor with some of its axes "
+        "missing, and the line where one is broken. Reading here also recognises the format and looks for "
+        "units, gaps, repeats and readings that no sensor gives. The engine cuts the stream at each of its "
+        "reviews, and most of what a review takes is the fixed cost of numpy's calls on few windows.",
     ),
     "2": (
         "The daemon, live",

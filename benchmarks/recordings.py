@@ -7,8 +7,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,26 +35,29 @@ FOREIGN_S = 0.9
 
 
 def from_csv(quick: bool) -> Iterator[Row]:
-    """Read an hour of both sensors, beside parsers that check nothing; then calibrate from it."""
+    """Read an hour of both sensors, beside parsers with the same checks; then calibrate from it."""
     file, table, n, subject = FOLDER / "hour.csv", FOLDER / "hour.parquet", int(3600 * RATE_HZ), day()
     pandas, arrow = peer("pandas"), peer("pyarrow.csv")
     for path in (file, *([] if arrow is None else [table])):
         with writer_class(path)(path, gyroscope=True, temperature=False, arrival=False) as writer:
             writer.write(subject.accelerometer[:n], subject.gyroscope[:n])
-    cases = {"reading": lambda: _read(file)}
-    cases |= {watch: lambda w=watch: _replayed(file, w) for watch in ("continuous", "auto")}
+    cases: dict[str, Callable[[], int]] = {"reading": lambda: _read(file)}
+    cases |= {watch: partial(_replayed, file, watch) for watch in ("continuous", "auto")}
     if pandas is not None:
-        cases["pandas"] = lambda: len(pandas.read_csv(file))
+        cases["pandas"] = lambda: _checked(pandas.read_csv(file, dtype=np.float64).to_numpy().T)
     if arrow is not None:
-        one = arrow.ReadOptions(use_threads=False)
-        cases |= {"pyarrow": lambda: len(arrow.read_csv(file, one)), "Parquet": lambda: _read(table)}
+        cases |= {"pyarrow": lambda: _checked(_by_arrow(arrow, file)), "Parquet": lambda: _read(table)}
+        cases["decoding"] = lambda: _decoded(table)
     timed = rounds(cases, 2 if quick else 7)
     samples, what = timed["reading"].answer / 1e6, "reading CSV, seven columns"
     for name in ("pandas", "pyarrow"):
-        yield _beside(what, timed["reading"], samples, (name, timed.get(name)), 1.0)
+        yield _beside(what, timed["reading"], samples, (f"{name}, the same checks", timed.get(name)), 1.0)
     if arrow is not None:
-        what = "reading Parquet, seven columns"
+        what, limit = "reading Parquet, seven columns", timed["decoding"]
         yield _beside(what, timed["Parquet"], samples, ("our CSV", timed["reading"]), 10.0)
+        said = f"the limit: ours takes {ratio(limit, timed['Parquet'])[0]:.3g} times as long"
+        what, versus = "reading Parquet: decoding alone, by Arrow", ratio(limit, timed["reading"])
+        yield Row("1", what, limit.rate(samples), "million rows/s", "our CSV", versus, accuracy=said)
     for watch, name in (("continuous", "continuous"), ("auto", "duty-cycled")):
         what = f"an hour of both sensors from CSV through the engine, {name}"
         yield Row("1", what, timed[watch].rate(samples), "million samples/s")
@@ -66,6 +70,40 @@ def _beside(what: str, timed: Timed, count: float, peer: tuple[str, Timed | None
     met, margin = (None, None) if versus is None else (versus[0] >= least, versus[0] / least)
     goal = "at least as fast" if least == 1.0 else f"{least:g} times as fast"
     return Row("1", what, timed.rate(count), "million rows/s", name, versus, goal, met, margin=margin)
+
+
+def _by_arrow(arrow: Any, file: Path) -> list[np.ndarray]:
+    """Return the columns of a CSV file by Arrow's reader, which names the row of a cell that is no number."""
+    names = file.open().readline().strip().split(",")
+    options = arrow.ConvertOptions(column_types=dict.fromkeys(names, "float64"))
+    table = arrow.read_csv(file, arrow.ReadOptions(use_threads=False), convert_options=options)
+    return [column.to_numpy() for column in table.columns]
+
+
+def _checked(columns: Sequence[np.ndarray]) -> int:
+    """Check t and both sensors' axes as reading does, with the least that can, and count the samples.
+
+    Raises ValueError naming the first line whose stamp runs back or is none, or that lacks some of a sensor's
+    axes; all of them may be empty.
+    """
+    t, count = columns[0], 0
+    bad = ~np.isfinite(t)
+    bad[1:] |= t[1:] < t[:-1]
+    for axes in (columns[1:4], columns[4:7]):
+        x, y, z = (np.isfinite(axis) for axis in axes)
+        whole = x & y & z
+        bad |= ~(whole | (np.isnan(axes[0]) & np.isnan(axes[1]) & np.isnan(axes[2])))
+        count += int(np.count_nonzero(whole))
+    if bad.any():
+        raise ValueError(f"line {int(bad.argmax()) + 2}")
+    return count
+
+
+def _decoded(table: Path) -> int:
+    """Decode a Parquet file with Arrow on one thread and do nothing with it."""
+    parquet = peer("pyarrow.parquet")
+    assert parquet is not None
+    return len(parquet.read_table(table, use_threads=False))
 
 
 def _read(file: Path) -> int:
@@ -126,7 +164,7 @@ def whole_process(quick: bool) -> Iterator[Row]:
     if not file.is_file():
         yield Row("1", what, float("nan"), "s", goal=goal, accuracy="not measured: set STILLCAL_DATA")
         return
-    command = [Path(sys.executable).with_name("stillcal"), "replay", file, "--format", "imu_tk"]
+    command = [str(Path(sys.executable).with_name("stillcal")), "replay", str(file), "--format", "imu_tk"]
     taken, said = [], ""
     for _ in range(4 if quick else 12):
         began = time.perf_counter()
