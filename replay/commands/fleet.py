@@ -302,10 +302,15 @@ def first_command(  # noqa: PLR0917 - click hands every option over by name
     )
     sds = fit.covariance.diagonal() ** 0.5
     for name, value, sd, share in zip(prior.names, fit.values, sds, fit.shown, strict=True):
-        click.echo(f"  {name:5} {value:+10.5f} ± {sd:<7.2g}   {share:4.0%} from the rests")
+        click.echo(parameter_line(name, value, sd, share))
     click.echo(f"  norm at rest is known to {fit.worst_norm_uncertainty:.2g} m/s² along the worst direction")
     if store_path is not None:
         click.echo(f"  stored in {store_path}")
+
+
+def parameter_line(name: str, value: float, sd: float, share: float) -> str:
+    """Return a parameter of a first calibration in a line. share: what of its information the rests gave."""
+    return f"  {name:5} {value:+10.5f} ± {sd:<7.2g}   {share:4.0%} from the rests"
 
 
 def _store(path: Path, made: Callable[[CalibrationRecord | None], CalibrationRecord], source: str) -> None:
