@@ -61,11 +61,22 @@ class NoDaemonError(OSError):
 
     def __init__(self, path: Path, error: Exception) -> None:
         if isinstance(error, PermissionError):
-            what = f"you may not connect to {path}: log in as a member of its group (`ls -l {path}` names it)"
+            what = (
+                f"you may not connect to {path}: log in as a member of its group {_group(path)}, or let every"
+                " user in (install-service --all-users)"
+            )
         else:
             why = getattr(error, "strerror", None) or str(error)
             what = f"no daemon answers on {path} ({why}): start one with `stillcal run`"
         super().__init__(what)
+
+
+def _group(path: Path) -> str:
+    """Return the name of the group of a socket, or how to find it."""
+    try:
+        return path.group()
+    except (OSError, KeyError, NotImplementedError):  # a group without a name
+        return f"(`ls -ld {path}` names it)"
 
 
 @click.command(

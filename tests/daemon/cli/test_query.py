@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from stillcal.daemon.cli.answer_text import MOST_ROWS, lines
+from stillcal.daemon.cli.query import NoDaemonError
 from tests.support.asking import STILLCAL, stored
 from tests.support.living import answering, within_reason
 
@@ -130,3 +131,10 @@ def test_several_sentences_have_a_line_each_and_short_words_share_one() -> None:
     lay = ["lay it on its right edge (x axis down)", "lay it on its left edge (x axis up)"]
     assert list(lines({"missing": lay, "axes": ["x", "y"]}))[:3] == ["missing", *(f"  {w}" for w in lay)]
     assert next(lines({"axes": ["x", "y"]})).split() == ["axes", "x", "y"]
+
+
+def test_who_may_not_connect_is_told_the_group_and_the_other_way(tmp_path: Path) -> None:
+    (tmp_path / "socket").touch()
+    said = str(NoDaemonError(tmp_path / "socket", PermissionError(13, "Permission denied")))
+    assert f"member of its group {(tmp_path / 'socket').group()}, or" in said and "--all-users" in said
+    assert "ls -ld" in str(NoDaemonError(tmp_path / "none", PermissionError(13, "Permission denied")))
