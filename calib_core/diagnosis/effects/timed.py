@@ -76,7 +76,7 @@ class Step(BiasEffect):
     """The bias jumps once, at a time that nobody told. A nudged phone steps across gravity too."""
 
     kind = "bias_step"
-    says = "jumped once"
+    says = "jumped"
     called_as = "step of {bias}"
     follows = "time"
     equation = "bias(t) = bias(0) + step (t >= t_start)"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -154,6 +155,10 @@ def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         if unsized:
             steps = [without_name(s) if s.winner.fit is unsized[-1].winner.fit else s for s in steps]
             continue
+        to_and_fro = _to_and_fro(estimates)
+        if to_and_fro:
+            steps = [without_name(s) if s.winner.hypothesis.effect.name == to_and_fro else s for s in steps]
+            continue
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [_supported(f) for f in made]
         if min(gains) > 0.0:
@@ -170,6 +175,23 @@ def _unsized(found: Estimate) -> bool:
     """
     named = found.hypothesis.effect.name != "unknown" and bool(found.hypothesis.grid)
     return named and bool((np.abs(found.value) < NORMAL_95 * found.sigma).all())
+
+
+def _to_and_fro(estimates: Sequence[Estimate]) -> str:
+    """Return the name of an effect found twice whose second size may undo the first; "" where there is none.
+
+    A bias that is afterwards what it was before went to and fro, which is no step. The errors of two sizes
+    are taken to be independent: together they are no larger, for both share the level between them.
+    """
+    from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
+
+    named = [e for e in estimates if e.hypothesis.effect.name != "unknown"]
+    for one, other in combinations(named, 2):
+        if one.hypothesis.effect.name == other.hypothesis.effect.name:
+            apart = (one.value + other.value) ** 2 / (one.sigma**2 + other.sigma**2)
+            if chdtrc(float(apart.size), float(apart.sum())) >= CHANCE:
+                return one.hypothesis.effect.name
+    return ""
 
 
 def _by_chance(found: Estimate, count: int) -> bool:

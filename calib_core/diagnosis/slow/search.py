@@ -256,12 +256,17 @@ def _effect(step: Step) -> str:
 
 
 def _one_of_many(step: Step, steps: Sequence[Step]) -> Step:
-    """Take the name off an effect that comes once but was found several times: to and fro is no step."""
+    """Take the name off an effect that comes once but was found several times, or beside a course of several.
+
+    As many as are looked for may be some of more. A few may be as many single ones: whether they are is told
+    by their sizes, estimated together (`findings`).
+    """
     name = _effect(step)
-    times = sum(name in (_effect(s), s.winner.hypothesis.effect.several_of) for s in steps)
-    if name == "unknown" or times < 2:
+    if name == "unknown":
         return step
-    return without_name(step)
+    times = sum(name == _effect(s) for s in steps)
+    beside = any(name == s.winner.hypothesis.effect.several_of for s in steps)
+    return without_name(step) if beside or times >= thresholds.MAX_FINDINGS else step
 
 
 def without_name(step: Step) -> Step:

@@ -19,14 +19,15 @@ from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.calib_core.diagnosis.slow.estimate import estimate
+from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import (
     Stated,
+    _to_and_fro,
     each_driver_once,
     not_unknown_twice,
     slow_findings,
 )
-from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene, score
+from stillcal.calib_core.diagnosis.slow.search import adequate, forward, ranking, reduce_scene, score
 from tests.support.diagnosis import nulls
 
 
@@ -216,3 +217,29 @@ def test_latent_heat_has_one_size_wherever_it_is_asked_for() -> None:
     assert np.ptp(curve) == pytest.approx(1.0, rel=1e-3)
     for rows in (slice(0, 100), slice(700, 710), slice(2000, 2003)):
         np.testing.assert_array_equal(effect.curve(whole.during(rows), grid), curve[rows])
+
+
+def test_two_steps_of_one_bias_keep_their_name() -> None:
+    rng = np.random.default_rng(11)
+    day = nulls.schedule(rng, 900)
+    error = np.outer(day.t > 250.0, (5e-4, 0.0, 0.0)) + np.outer(day.t > 600.0, (0.0, 6e-4, 0.0))
+    scene = scenes(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1]
+    steps = adequate(forward(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_step"]))
+    both = [s.winner.hypothesis for s in steps]
+    assert [h.effect.name for h in both] == ["gyro_bias_step"] * 2
+    assert sorted(h.grid["t_start"] for h in both) == pytest.approx([250.0, 600.0], abs=10.0)
+    assert [s.winner.hypothesis.effect.name for s in adequate([*steps, steps[0]])] == ["unknown"] * 3
+
+
+def test_a_second_step_that_may_undo_the_first_takes_the_name_of_both() -> None:
+    rng, day = day_of(3)
+    scene = scenes(nulls.bins_of(rng, day, "white"), nulls.G)[1]
+    effect = next(e for e in effects_of("gyro") if e.name == "gyro_bias_step")
+    own = scene.hypothesis(effect, {"t_start": 500.0})
+
+    def of(*value: float) -> Estimate:
+        return Estimate(own, np.array(value), 1e-8 * np.eye(3), {}, 50.0)
+
+    up = of(2e-3, 0.0, 0.0)
+    assert _to_and_fro([up, of(-2e-3, 1e-4, 0.0)]) == "gyro_bias_step"
+    assert _to_and_fro([up, of(-2e-3, 1e-3, 0.0)]) == "" == _to_and_fro([up])
