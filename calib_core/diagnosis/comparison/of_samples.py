@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     stamp_quantities,
     why_not_shown,
 )
-from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, direct_checks
+from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, direct_checks, obstacle
 from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
+from stillcal.calib_core.diagnosis.comparison.sensitivity import shows_as_large
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
@@ -111,12 +112,24 @@ def differences_of_samples(
             unlooked = reasons[other].get((finding.effect, finding.sensor))
             reason = why_not_shown(finding, exams[other]) or unlooked
             hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)
+            reason = reason or _too_small(finding, exams[1 - other], exams[other])
             if reason is not None or hidden is not None:
                 why = hidden or f"{name}: {reason}"
                 unseen.append(NotCompared(finding.effect, finding.sensor, why))
             else:
                 sole.append((finding, of_recording))
     return both, sole, unseen
+
+
+def _too_small(finding: Finding, own: Examination, other: Examination) -> str | None:
+    """Say why another recording does not show a slow effect by its size; None where it would have."""
+    stated = next((s for s in own.statements if s.finding is finding), None)
+    if stated is None or stated.scene is None:
+        return None
+    if (why := obstacle(other, finding.effect, finding.sensor)) is not None:
+        return why
+    where = "turns" if stated.scene.turns else "rests"
+    return None if shows_as_large(other, stated) else f"its {where} would not show one of this size"
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
+from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scene
 
 SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
@@ -37,8 +38,8 @@ SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
 ONE_IN_TEN = 1.645
 """Prior standard deviations that one effect in ten exceeds: what shows only beyond them is not shown."""
 
-ONE_AXIS = 6
-"""What an effect on one axis alone pays for in trials, as the search counts them."""
+ALL_AXES, ONE_AXIS = 2, 6
+"""What an effect on all axes, or on one alone, pays for in trials, as the search counts them."""
 
 FOLDS = float(np.log(1e3))
 """Logarithm of the largest ratio of two recordings' numbers that is worth telling of."""
@@ -167,21 +168,12 @@ def _found_half_the_time(
 ) -> float:
     """Return the size of one parameter at which the gain is as large as needed, in units of its prior.
 
-    The recording's own residuals without any effect (at the fit, `beta`) get an effect of that size. The
-    noise is refitted with it, as the search does: a part of every slow effect can pass for noise. start:
-    about the right size, to look at first.
+    start: about the right size, to look at first.
     """
-    unit = np.eye(beta.size)[row]
-    without = joint_log_likelihood(reduced, [log_terms(v, residuals(v, index, beta)) for v in reduced])
+    unit, without = np.eye(beta.size)[row], _likelihood(reduced, index, beta)
 
     def gain(size: float) -> float:
-        with_it = [
-            joint_log_likelihood(
-                reduced, [log_terms(v, residuals(v, index, beta - s * size * unit)) for v in reduced]
-            )
-            for s in (1.0, -1.0)
-        ]
-        return without - 0.5 * size**2 - float(np.mean(with_it))
+        return _gain(reduced, index, beta, size * unit, without)
 
     high = min(start, LARGEST)
     while high > SMALLEST and gain(0.5 * high) >= needed:
@@ -193,6 +185,85 @@ def _found_half_the_time(
         middle = 0.5 * (low + high)
         low, high = (middle, high) if gain(middle) < needed else (low, middle)
     return high
+
+
+def shows_as_large(exam: Examination, found: Stated) -> bool:
+    """Whether a recording would have shown nine times in ten what another was found to have.
+
+    It is put into this recording's own residuals, at a moment in the middle of the rests or, with a begin and
+    an end, at the same part of the recording; all axes together or the largest alone must pass the search's
+    threshold, as much smaller as chance makes one in ten. What this recording cannot be given, without what
+    drives it, is taken to show: nothing speaks against it.
+    """
+    own, of = found.hypothesis, found.scene
+    if own is None or of is None:
+        return True
+    alike = [s for s in exam.every_scene if kind_of(s) == kind_of(of)]
+    scene = next((s for s in alike if len(s.bins) >= thresholds.LEAST_BINS), None)
+    if scene is None:
+        return False
+    effect, grid = own.effect, _moved(own, of, scene)
+    if any(p.name not in found.finding.parameters for p in effect.parameters):
+        return True
+    if not effect.can_play(scene.moments, grid):
+        return True
+    there = replace(scene.hypothesis(effect, grid), multiplicity=own.multiplicity)
+    reduced = reduce_scene(scene, [there], [h for h in _stated(exam, scene) if h.effect.name != effect.name])
+    value = np.concatenate([np.ravel(found.finding.parameters[p.name].value) for p in effect.parameters])
+    size = value / there.sizes
+    largest = there.axis_of == there.axis_of[int(np.argmax(np.abs(size)))]
+    return _passes(reduced, there, size, ALL_AXES) or _passes(reduced, there, size * largest, ONE_AXIS)
+
+
+def _passes(reduced: Sequence[Reduced], hypothesis: Hypothesis, size: Array, cost: int) -> bool:
+    """Whether sizes (k,), in units of their prior, pass the search's threshold nine times in ten.
+
+    cost: what their axes pay for in trials.
+    """
+    fit, effect = fit_hypothesis(reduced, 0), hypothesis.effect
+    used = np.flatnonzero(size)
+    if not used.size:
+        return False
+    # The prior is taken off again: what is wanted is the error of the data alone.
+    information = np.linalg.inv(fit.covariance) - np.eye(size.size)
+    sigmas = float(np.sqrt(np.maximum(size @ information @ size, 0.0)))
+    if sigmas <= NINE_IN_TEN:
+        return False
+    trials = max(hypothesis.multiplicity, 1.0) * cost
+    needed = _needed_gain(degrees(reduced, 0), used.size, trials, effect.prior_penalty)
+    every = np.zeros(fit.every.size)
+    # What is larger than physics makes it shows no worse, though its prior is against it.
+    possible = min(1.0, ONE_IN_TEN / float(np.abs(size).max()))
+    every[: size.size] = min(1.0 - NINE_IN_TEN / sigmas, possible) * size
+    return _gain(reduced, 0, fit.every, every, _likelihood(reduced, 0, fit.every)) >= needed
+
+
+def _moved(own: Hypothesis, of: Scene, to: Scene) -> dict[str, float]:
+    """Return the grid point of an effect of one recording in another, whose times are others."""
+    grid = dict(own.grid)
+    if "t_start" in grid and "t_end" not in grid:
+        return grid | {"t_start": float(np.median(to.bins.t))}
+    (begin, end), (first, last) = of.bins.span, to.bins.span
+    for name in ("t_start", "t_end"):
+        if name in grid:
+            grid[name] = first + (grid[name] - begin) / (end - begin) * (last - first)
+    return grid
+
+
+def _likelihood(reduced: Sequence[Reduced], index: int, beta: Array) -> float:
+    """Return the log likelihood of the residuals with sizes (k,) taken off, in units of the prior."""
+    return joint_log_likelihood(reduced, [log_terms(v, residuals(v, index, beta)) for v in reduced])
+
+
+def _gain(reduced: Sequence[Reduced], index: int, beta: Array, added: Array, without: float) -> float:
+    """Return the gain in log likelihood by an effect of sizes `added` (k,), in units of the prior.
+
+    The recording's own residuals without any effect (at the fit, `beta`, of likelihood `without`) get it, of
+    either sign. The noise is refitted with it, as the search does: a part of every slow effect can pass for
+    noise.
+    """
+    with_it = [_likelihood(reduced, index, beta - s * added) for s in (1.0, -1.0)]
+    return without - 0.5 * float(added @ added) - float(np.mean(with_it))
 
 
 def _smallest(hypothesis: Hypothesis, parameter: Linear, size: float) -> Smallest:
