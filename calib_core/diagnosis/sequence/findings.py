@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.dropouts import dropouts
+from stillcal.calib_core.diagnosis.sequence.lone_values import lone_values
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
 from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
@@ -43,7 +44,9 @@ def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding
         by_code(samples, sensor, noise),
         None if noise is None else by_count(samples, sensor, noise),
     ]
-    return [f for f in found if f is not None]
+    shown = [f for f in found if f is not None]
+    lone = None if shown else lone_values(samples, sensor, still)
+    return shown if lone is None else [lone]
 
 
 def still_rows(t: Array, bins: Bins) -> NDArray[np.bool_]:
