@@ -37,6 +37,7 @@ from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
+from stillcal.calib_core.diagnosis.slow.turn_errors import turn_errors
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
@@ -185,7 +186,8 @@ def examine(
     made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
                        exchanged=spoiled.sensor if spoiled else "")  # fmt: skip
     spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
-    made = _with_tilts(_with_motion(made, spoilt, without, sound, search=search), seconds, spoilt)
+    made = _with_motion(made, spoilt, without, sound, search=search)
+    made = _with_tilts(made, seconds, spoilt) if search else made
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
 
@@ -229,23 +231,41 @@ def _with_motion(
 
 
 def _with_tilts(exam: Examination, seconds: Overview, spoiled: Sequence[Span]) -> Examination:
-    """Return an examination with jumps of gravity's direction that the gyroscope does not see.
+    """Return an examination with what gravity's direction does that the gyroscope does not, unless explained.
 
-    What the accelerometer's bias is found to do without a name may be these jumps, and is stated already. A
-    step that has a name explains the jump at its moment, which is told to a bin. spoiled: when readings are
-    no measurement.
+    What a sensor is found to do without a name may be the cause, and is stated already: the accelerometer's
+    bias where gravity jumps, the gyroscope too where turns are missed. A step that has a name explains the
+    jump at its moment, which is told to a bin. spoiled: when readings are no measurement.
     """
-    own = [s for s in exam.statements if s.finding.sensor == "accel"]
-    slow = [s for s in own if s.finding.effect == "unknown" and s.finding.where.band_hz == SLOW_BAND]
-    if slow or exam.exchanged:
+    nameless = [s.finding for s in exam.statements if s.finding.effect == "unknown"]
+    slow = {f.sensor for f in nameless if f.where.band_hz == SLOW_BAND}
+    if "accel" in slow or exam.exchanged or exam.gyroscope is None:
         return exam
-    moments = [s.hypothesis.grid["t_start"] for s in own if s.hypothesis and "t_start" in s.hypothesis.grid]
-    told = float(exam.bins.duration.max(initial=0.0))
-    named = [(m - told, m + told) for m in moments]
-    rounding = exam.bins.force_rounding, exam.bins.rate_rounding
-    spans = [*spoiled, *exam.on_limits, *named]
-    found = unseen_tilt(seconds, rounding, exam.claims.gravity, spans)
+    found = unseen_tilt(
+        seconds,
+        (exam.bins.force_rounding, exam.bins.rate_rounding),
+        exam.claims.gravity,
+        [*spoiled, *exam.on_limits, *_of_steps(exam)],
+    )
+    if found is None and all(f.sensor != "gyro" for f in nameless):
+        found = _turn_errors(exam)
     return exam if found is None else replace(exam, statements=[*exam.statements, Stated(found)])
+
+
+def _of_steps(exam: Examination) -> list[Span]:
+    """Return when steps of the accelerometer's bias are, s, a bin on either side."""
+    own = [s.hypothesis for s in exam.statements if s.finding.sensor == "accel" and s.hypothesis is not None]
+    told = float(exam.bins.duration.max(initial=0.0))
+    return [(h.grid["t_start"] - told, h.grid["t_start"] + told) for h in own if "t_start" in h.grid]
+
+
+def _turn_errors(exam: Examination) -> Finding | None:
+    """Return turns that no gyroscope with the effects found explains."""
+    if exam.aligned is None or exam.turns is None:
+        return None
+    known = off_bins(exam.bins, Known.among(exam.statements))
+    found = [s.hypothesis for s in exam.statements if s.hypothesis and s.scene and s.scene.turns]
+    return turn_errors(exam.aligned, known, exam.claims.gravity, found)
 
 
 def _turned(

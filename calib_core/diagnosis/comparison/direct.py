@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.slow.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_JITTER
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_SHARE as LEAST_DROPPED
@@ -256,6 +257,7 @@ def why_not_shown(finding: Finding, other: Examination) -> str | None:
             "it has no times of arrival",
         ),
         (finding.effect == "unknown" and len(other.bins) == 0, "it is never at rest"),
+        (finding.where.driver == TURNS and other.turns is None, "its turns from rest to rest are too few"),
     )
     return next((text for applies, text in reasons if applies), None)
 

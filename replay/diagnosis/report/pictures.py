@@ -14,8 +14,9 @@ from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER as INTE
 from stillcal.calib_core.diagnosis.noise.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence import codes as own_code
-from stillcal.calib_core.diagnosis.sequence import order, places, recurrence
+from stillcal.calib_core.diagnosis.sequence import lone_values, order, places, recurrence
 from stillcal.calib_core.diagnosis.sequence.stamps import FEW, LEAP, PATTERN
+from stillcal.calib_core.diagnosis.slow.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock_wander import DRIVER as WANDERING
 from stillcal.replay.diagnosis.judged import Judged, bins_of
 from stillcal.replay.diagnosis.report import figures, sample_figures
@@ -28,6 +29,7 @@ from stillcal.replay.diagnosis.words.units import pretty
 SPECTRAL = ("vibration_tone", "bandwidth", "noise_level", "noise_unequal_axes")
 VALUED = ("accel_quantisation", "gyro_quantisation", "noise_heavy_tailed", "unknown")
 UNEVEN = (LEAP, PATTERN, FEW)
+OF_TURNS = ("rate of turn", TURNS)
 LIMITED = ("accel_saturation", "gyro_saturation")
 
 
@@ -205,7 +207,7 @@ def _kind(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
             "Histogram of intervals",
             caption,
         )
-    if effect in VALUED and finding["where"]["driver"] != "rate of turn":
+    if effect in VALUED and finding["where"]["driver"] not in OF_TURNS:
         caption = "Histogram of samples about the mean of their static interval (log scale)."
         draw = lambda three, unit: figures.values_figure(three, unit, axis)  # noqa: E731 - one of five
         return draw, "Histogram of samples at rest", caption
@@ -243,7 +245,7 @@ def _nameless(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
 def _event(finding: Mapping[str, Any], driver: str, axis: int) -> tuple[Draw, str, str] | None:
     """Return how an effect without a name is drawn that has a moment or a steady period; None for others."""
     name, at = "xyz"[axis], float(finding["where"]["t_start"])
-    if driver in (order.DRIVER, recurrence.AGAIN, recurrence.STALE):
+    if driver in (order.DRIVER, recurrence.AGAIN, recurrence.STALE, lone_values.DRIVER):
         return (
             lambda three, unit: sample_figures.samples_figure(three, unit, axis, at),
             "Single samples where it first happens",

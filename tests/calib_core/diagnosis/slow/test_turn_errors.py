@@ -1,0 +1,60 @@
+"""Turns that no affine gyroscope explains have no name; sound ones, and a single odd one, are silent."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.diagnosis.slow.turn_errors import DRIVER, turn_errors
+from stillcal.calib_core.streams.samples import Samples
+from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
+
+
+def scaled(gain: Array) -> tuple[Samples, Samples]:
+    """Return the day with a gyroscope whose turn k reads 1 + gain (k,) times its rate."""
+    force, spin, _ = day()
+    turning = np.linalg.norm(spin.xyz - 0.005, axis=1) > 0.02
+    which = np.minimum((spin.t / 29.0).astype(np.int64), gain.size - 1)
+    rate = (spin.xyz - 0.005) * (1.0 + gain[which] * turning)[:, None] + 0.005
+    return force, replace(spin, xyz=rate)
+
+
+def found(force: Samples, gyroscope: Samples) -> Finding | None:
+    bins = cut(force, gyroscope)
+    return turn_errors(aligned(gyroscope, bins, G), bins, G)
+
+
+def test_turns_with_a_gain_each_are_found() -> None:
+    gain = 0.04 * np.random.default_rng(3).normal(size=40)
+    stated = found(*scaled(gain))
+    assert stated is not None and (stated.effect, stated.sensor, stated.where.driver) == (
+        "unknown",
+        "gyro",
+        DRIVER,
+    )
+    low, high = stated.parameters["part_of_angle"].ci95
+    # Across gravity, two of three axes are seen.
+    assert low < 0.04 < 2.0 * high
+
+
+def test_sound_turns_are_silent_and_so_is_one_that_is_off() -> None:
+    assert found(*scaled(np.zeros(40))) is None
+    assert found(*scaled(2e-3 * np.random.default_rng(4).normal(size=40))) is None
+    assert found(*scaled(0.2 * (np.arange(40) == 17))) is None
+
+
+def test_coarse_samples_of_quick_turns_are_allowed_for() -> None:
+    force, spin = scaled(np.zeros(40))
+    assert found(force, spin[::12]) is None
+
+
+def test_the_diagnosis_states_it() -> None:
+    gain = 0.1 * np.random.default_rng(5).normal(size=40)
+    stated = diagnose(*(sensor.between(0.0, 430.0) for sensor in scaled(gain))).findings
+    assert [(f.effect, f.where.driver) for f in stated] == [("unknown", DRIVER)]
