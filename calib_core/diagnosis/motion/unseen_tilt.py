@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, with
 Index = NDArray[np.int64]
 Span = tuple[float, float]
 
-DRIVER = "gravity's direction"
+DRIVER = "gravity's direction, which the gyroscope does not see turn"
 
 REACH, FEWEST = 8, 3
 """Windows on either side of a moment that tell a step, at most and at least."""
@@ -38,6 +38,9 @@ LEAST_RATE = 20.0
 
 WHOLE = 0.8
 """Part of the usual samples, without which the gyroscope may have missed a nudge."""
+
+HELD = 0.01
+"""Part of the usual noise of the rate, by variance, below which values are held and no turn is seen."""
 
 UNSURE = 0.1
 """Part of how far the phone was moved meanwhile that the gyroscope may have missed, uncalibrated."""
@@ -189,7 +192,9 @@ def _judged_places(
     places: Index, series: Series, rate: Windows, spoiled: Sequence[Span]
 ) -> tuple[Index, Array]:
     """Return the places that the gyroscope watched all along, and how far (m,) the phone moved there, rad."""
-    lost = (rate.count < WHOLE * float(np.median(rate.count))).astype(np.float64)
+    power = rate.variance.sum(axis=1)
+    held = power < HELD * float(np.median(power))
+    lost = ((rate.count < WHOLE * float(np.median(rate.count))) | held).astype(np.float64)
     for start, end in spoiled:
         lost[(rate.t > start - WINDOW) & (rate.t < end + WINDOW)] = 1.0
     unwatched, path = (np.concatenate([[0.0], np.cumsum(x)]) for x in (lost, series.path))
@@ -235,10 +240,9 @@ def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Fin
         f"At {times[0]:.0f} s gravity's direction jumps by {np.degrees(angle):.2g} degrees in the"
         f" accelerometer, and the gyroscope sees no such turn.{many}"
     )
-    sizes = {
-        "angle": Parameter(angle, [angle - half, angle + half], "rad"),
-        **sized({"jumps": (float(len(found)), "1")}),
-    }
+    sizes = {"angle": Parameter(angle, [angle - half, angle + half], "rad")}
+    if len(found) > 1:
+        sizes |= sized({"jumps": (float(len(found)), "1")})
     size = np.abs(steps.step[surest])
     axes = [int(a) for a in np.flatnonzero(size > 0.5 * size.max())]
     where = Where(min(times), max(times), (0.0, 1.0 / WINDOW), DRIVER)

@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_view
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 
-DRIVER = "turns"
+DRIVER = "turns from rest to rest"
 
 SOUND, FAULTY = (1e-4, 6e-3), (6e-3, 0.5)
 """Parts of the angle turned through by which gravity is missed: those of sound phones and of faulty ones.

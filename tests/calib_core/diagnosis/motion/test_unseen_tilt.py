@@ -65,6 +65,11 @@ def test_a_nudge_that_both_see_is_silent() -> None:
 def test_where_the_gyroscope_does_not_measure_nothing_is_said() -> None:
     force, rate = lying(1, 0.02, 0.0)
     assert tilts(force, rate, (55.0, 65.0), (135.0, 145.0)) is None
+    held = rate.xyz.copy()
+    for jump in (60.0, 140.0):
+        rows = np.abs(rate.t - jump) < 5.0
+        held[rows] = held[rows][0]
+    assert tilts(force, Samples.checked(Sensor.GYROSCOPE, rate.t, held)) is None
     slow = rate[::5]
     assert unseen_tilt(overview_of(force, slow), (None, None), G) is None
 
