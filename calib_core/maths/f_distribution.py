@@ -15,10 +15,20 @@ def tail(ratio: float, more: float, free: float) -> float:
     >>> round(tail(4.26, 3, 9), 3)
     0.039
     """
+    return math.exp(log_tail(ratio, more, free))
+
+
+def log_tail(ratio: float, more: float, free: float) -> float:
+    """Return the logarithm of `tail`, also where `tail` itself is less than a float holds.
+
+    Twice the tail of Student's t beyond |t| is that of (1, free) beyond t^2.
+    """
     if ratio <= 0.0:
-        return 1.0
+        return 0.0
     x = free / (free + more * ratio)
+    if x == 0.0:
+        return -math.inf
     a, b = 0.5 * free, 0.5 * more
     if x < (a + 1.0) / (a + b + 2.0):
-        return math.exp(log_beta_share(a, b, x))
-    return -math.expm1(log_beta_share(b, a, 1.0 - x))
+        return log_beta_share(a, b, x)
+    return math.log(-math.expm1(log_beta_share(b, a, 1.0 - x)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.replay.phone.recursion import decaying
 
 WANDER_STEP = 0.05
 """Spacing of the wander's time grid, s."""
@@ -83,11 +84,9 @@ class _Process:
 
     def advance(self, n: int) -> Array:
         shocks = self._rng.standard_normal((n, 3)) * self._drive
-        from scipy.signal import lfilter  # noqa: PLC0415 - a second of a command that simulates nothing
-
-        values, _ = lfilter([1.0], [1.0, -self._keep], shocks, axis=0, zi=(self._keep * self._last)[None])
+        values = decaying(shocks, self._keep, self._last)
         self._last = values[-1]
-        return np.asarray(values)
+        return values
 
 
 class _Walk:

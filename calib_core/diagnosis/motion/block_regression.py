@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import HeldOut
+from stillcal.calib_core.maths.f_distribution import log_tail
 from stillcal.calib_core.maths.rms import rms
 
 Mask = NDArray[np.bool_]
@@ -106,11 +107,9 @@ class Regression:
 
         x: (k,) of the pieces, with the covariance (k, k) that leaving `PARTS` of them out gave.
         """
-        from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
-
         k, parts = x.size, min(PARTS, len(self.power))
         squared = float(x @ np.linalg.solve(covariance, x)) * (parts - k) / (k * (parts - 1.0))
-        return float(f.logsf(squared, k, parts - k))
+        return log_tail(squared, k, parts - k)
 
     def held_out(self, free: Mask | None = None, without: Regression | None = None) -> HeldOut:
         """Predict pieces left out with the others' parameters, and with those of `free` (k,) bool alone.

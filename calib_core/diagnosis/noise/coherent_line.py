@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
 from stillcal.calib_core.diagnosis.noise.line_estimate import CLOCK, SIGNIFICANT, peak, vibration
 from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, lines
 from stillcal.calib_core.diagnosis.noise.steady_segments import Places, Stretches
+from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms
 
 NEVER = 0.49
@@ -63,9 +64,7 @@ def in_step(places: Places, seen: Stretches, line: Finding) -> float:
 
 def _clearest(told: Array, at: Index) -> tuple[float, int | None]:
     """Return nats for the clearest line on one axis or on all together, and its place; told: (F, 3)."""
-    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
-
-    together = -chi2.logsf(2.0 * told[at].sum(axis=1), 2 * told.shape[1])
+    together = -log_tail(2.0 * told[at].sum(axis=1), 2 * told.shape[1])
     best = np.maximum(together, told[at].max(axis=1))
     k = int(np.argmax(best))
     nats = of_chance(-float(best[k]), float(at.size * (told.shape[1] + 1)))

@@ -28,6 +28,7 @@ from stillcal.calib_core.diagnosis.noise.low_pass import SHARED, Spectra
 from stillcal.calib_core.diagnosis.noise.noise_level import Levels
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.calib_core.maths.f_distribution import log_tail
 from stillcal.calib_core.maths.rms import rms
 
 LEAST_PIECES = 5
@@ -157,8 +158,6 @@ def parabola_of_force(level: Array, force: Array, by_chance: Array) -> ByForce:
 
     by_chance: the variance (n,) that the level of each rest has by chance alone.
     """
-    from scipy.stats import f  # noqa: PLC0415 - the daemon stays light
-
     design, free = _parabola(force), level.size - 3
     left = level - design @ _least_squares(design, level)
     between = max(float((left**2).sum()) / free - float(by_chance.mean()), 0.0)
@@ -166,7 +165,7 @@ def parabola_of_force(level: Array, force: Array, by_chance: Array) -> ByForce:
     curve = _least_squares(design * weight[:, None], level * weight)
     fitted, mean = design @ curve, np.average(level, weights=weight**2)
     without, within = (float((((level - said) * weight) ** 2).sum()) for said in (mean, fitted))
-    chance = float(f.logsf(0.5 * (without - within) * free / max(within, 1e-300), 2, free))
+    chance = log_tail(0.5 * (without - within) * free / max(within, 1e-300), 2, free)
     held_out = _left_out(level, Course("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
     return ByForce(of_chance(chance), float(np.ptp(fitted)), held_out, curve)
 

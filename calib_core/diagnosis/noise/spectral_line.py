@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.noise.steady_segments import (
     Stretches,
     stretches,
 )
+from stillcal.calib_core.maths.chi_squared import exceeded
 from stillcal.calib_core.streams.samples import Samples
 
 BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
@@ -199,8 +200,6 @@ def _stacked(ratio: Array) -> int | None:
     On one axis, or on the three together. Without a line a ratio to the mean of n independent neighbours has
     F(2, 2n): minus twice its log-probability is chi-squared with two degrees of freedom (Fisher's method).
     """
-    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
-
     told = 2.0 * INDEPENDENT * np.log1p(np.minimum(ratio, LOUDEST) / INDEPENDENT)
     total = np.concatenate([np.zeros((1, *ratio.shape[1:])), np.cumsum(told, axis=0)])
     best: tuple[float, int] | None = None
@@ -211,8 +210,8 @@ def _stacked(ratio: Array) -> int | None:
         first = np.arange(0, len(ratio) - count + 1, max(count // 2, 1))
         stack = total[first + count] - total[first]
         for values, freedom in ((stack.max(axis=2), 2 * count), (stack.sum(axis=2), 6 * count)):
-            usual = float(np.quantile(values, USUAL)) / float(chi2.ppf(USUAL, freedom))
-            limit = float(chi2.isf(LINE_P / stack.size, freedom)) * max(usual, 1.0)
+            usual = float(np.quantile(values, USUAL)) / exceeded(1.0 - USUAL, freedom)
+            limit = exceeded(LINE_P / stack.size, freedom) * max(usual, 1.0)
             top = float(values.max()) / limit
             if top > 1.0 and (best is None or top > best[0]):
                 best = top, int(np.argmax(values.max(axis=0)))

@@ -26,6 +26,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Whe
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual, spread
 from stillcal.calib_core.diagnosis.sequence.places import Noise
+from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "own code"
@@ -142,8 +143,6 @@ def codes(values: Array) -> Index | None:
 
 def clearest(code: Index, weight: Array, what: str) -> Repeats | None:
     """Return the power of two at which the weight (n,) of codes (n,) repeats most clearly; None for few."""
-    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
-
     span = int(code.max()) + 1
     least = 1 << int(np.ceil(np.log2(max(span, 64))))
     length = 4 * least
@@ -159,8 +158,6 @@ def clearest(code: Index, weight: Array, what: str) -> Repeats | None:
         usual = np.maximum(power[near].mean(axis=1), 1e-300)
         line = near.shape[1] * np.log1p(power[at] / usual / near.shape[1])
         # The line of every other code has no phase, and half as many numbers.
-        nats = (
-            -float(chi2.logsf(2.0 * line.sum(), 2 * at.size)) if bit > 1 else -float(chi2.logsf(line[0], 1))
-        )
+        nats = -float(log_tail(2.0 * line.sum(), 2 * at.size)) if bit > 1 else -float(log_tail(line[0], 1))
         found.append(Repeats(bit, what, of_chance(-nats, float(BITS))))
     return max(found, key=lambda r: r.nats, default=None)

@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.sequence.spectrum import (
     without_lines,
     without_sines,
 )
+from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "count of the samples"
@@ -163,8 +164,6 @@ def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
     batch: a weak vibration gives values one, and their size one at twice its frequency. The clearest of each
     is then left out, and two at least must be left.
     """
-    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
-
     best, n = (2, 0.0), 2 * (series[0].size - 1)
     for period in range(3, LARGEST + 1):
         at = np.rint(np.arange(1, (period - 1) // 2 + 1) * (n / period)).astype(np.int64)
@@ -172,7 +171,7 @@ def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
         count = len(series) * (at.size - tones)
         if at.size > 2 * tones:
             told = sum(float(line[at].sum()) - tones * float(line[at].max()) for line in series)
-            nats = of_chance(float(chi2.logsf(2.0 * told, 2 * count)), LARGEST)
+            nats = of_chance(float(log_tail(2.0 * told, 2 * count)), LARGEST)
             best = max(best, (period, nats), key=lambda x: x[1])
     return best
 

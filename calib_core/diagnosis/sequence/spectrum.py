@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, lines
 from stillcal.calib_core.maths import sines
+from stillcal.calib_core.maths.chi_squared import exceeded
 
 LINE = 3.0
 """Times the amplitude of its neighbourhood to which a line of the spectrum is cut."""
@@ -78,11 +79,9 @@ def without_sines(left: Array, rest: NDArray[np.bool_]) -> tuple[Array, Array]:
 
 def _clearest_sine(left: Array) -> float | None:
     """Return the frequency, a sample, of the line that all axes together show best, or None."""
-    from scipy.stats import chi2  # noqa: PLC0415 - the daemon stays light
-
     told = sum((lines(axis) for axis in left.T), np.zeros(1))
     k = ASIDE + int(np.argmax(told[ASIDE:-ASIDE]))
-    limit = float(chi2.isf(SINE_P / told.size, 2 * left.shape[1])) / 2.0
+    limit = exceeded(SINE_P / told.size, 2 * left.shape[1]) / 2.0
     return k / (2.0 * (told.size - 1)) if told[k] > limit else None
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone.heat import Surroundings
+from stillcal.replay.phone.recursion import decaying
 from stillcal.replay.phone.settings import (
     ClockSettings,
     SensorSettings,
@@ -139,9 +140,6 @@ class Smoother:
     def __call__(self, values: Array, initial: Array) -> Array:
         """Smooth the next (n, k) values; before the first of all, the output was `initial` (k,)."""
         last = initial if self._last is None else self._last
-        zi = (self._keep * last)[None]
-        from scipy.signal import lfilter  # noqa: PLC0415 - a second of a command that simulates nothing
-
-        smooth, _ = lfilter([1.0 - self._keep], [1.0, -self._keep], values, axis=0, zi=zi)
+        smooth = decaying((1.0 - self._keep) * values, self._keep, last)
         self._last = smooth[-1]
-        return np.asarray(smooth)
+        return smooth
