@@ -66,8 +66,9 @@ CONTRAST = 5.0
 def tones(samples: Samples, sensor: str) -> list[Finding]:
     """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, `MOST_LINES` at most."""
     places = Places.of(samples)
-    found = _of_any_length(places, sensor)
-    steady = [] if places is None else _coherent(places, sensor, found)
+    short = stretches(places, sensor, SHORT)
+    found = _of_any_length(places, sensor, short)
+    steady = [] if places is None else _coherent(places, sensor, short, found)
     clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
     return sorted(lines, key=lambda f: -_nats(f))[:MOST_LINES]
@@ -87,12 +88,15 @@ def _nats(found: Finding) -> float:
     return found.evidence.log_bayes_factor or 0.0
 
 
-def _coherent(places: Places, sensor: str, found: Sequence[Finding]) -> list[Finding]:
+def _coherent(
+    places: Places, sensor: str, short: Stretches | None, found: Sequence[Finding]
+) -> list[Finding]:
     """Return lines that keep their phase through the recording, and foretell more than those `found` do.
 
-    One that lasts for a part of it is foretold better by its power there. Overtones of a body are none.
+    short: the stretches of `SHORT`; None for too few, in whose stead brief ones are taken. A line that lasts
+    for a part of the recording is foretold better by its power there. Overtones of a body are none.
     """
-    seen = stretches(places, sensor, SHORT) or stretches(places, sensor, BRIEF)
+    seen = short or stretches(places, sensor, BRIEF)
     steady: list[Finding] = []
     tried: list[float] = []
     left = seen
@@ -114,8 +118,7 @@ def _coherent(places: Places, sensor: str, found: Sequence[Finding]) -> list[Fin
     ]
 
 
-def _of_any_length(places: Places | None, sensor: str) -> list[Finding]:
-    short = stretches(places, sensor, SHORT)
+def _of_any_length(places: Places | None, sensor: str, short: Stretches | None) -> list[Finding]:
     found = _lines(sensor, short)
     plain = [f for f in found if _nats(f) > PLAIN]
     if len(plain) == MOST_LINES:

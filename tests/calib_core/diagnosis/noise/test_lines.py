@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.special import ive
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.noise import spectral_line
 from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER, scaled_bessel
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -188,3 +190,17 @@ def test_what_keeps_its_phase_is_found_however_faint_each_rest_shows_it(
     for line in found:
         assert line.parameters["frequency"].value == pytest.approx(4.09, abs=1e-3)
         assert line.parameters["amplitude"].value == pytest.approx([amplitude] * 3, rel=0.25)
+
+
+def test_stretches_of_each_length_are_laid_out_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[float] = []
+    own = spectral_line.stretches
+
+    def counted(*args: Any) -> Any:
+        asked.append(args[2])
+        return own(*args)
+
+    monkeypatch.setattr(spectral_line, "stretches", counted)
+    assert tones(lying(humming({30.0: 0.004})), "accel")
+    assert asked.count(spectral_line.SHORT) == 1
+    assert len(asked) == len(set(asked))
