@@ -27,7 +27,7 @@ ROUNDING = 1e-12
 """Part of a column's own square that is left at least when the baseline is taken from it."""
 
 AT_ONCE = 2**20
-"""Products of columns that are held at once, as few as fit a processor's memory close by (8 MiB)."""
+"""Numbers that are held at once or kept for later, as few as fit a processor's memory close by (8 MiB)."""
 
 NOTHING = -1
 """The last hypothesis of every reduced view: no effect."""
@@ -115,9 +115,9 @@ def reduce_view(
     parts = []
     for family, (start, end) in zip(made, pairwise(ends), strict=True):
         root = 1.0 / np.sqrt(family.diagonals)
-        y, own, found, determinant = _freed(
-            (family.rotation @ few) * root[:, None, :, None], view.baseline.shape[2]
-        )
+        whitened = (family.rotation @ few) * root[:, None, :, None]
+        own, determinant = _own_baseline(view, family.name, whitened[..., : view.baseline.shape[2]])
+        y, found = _freed(whitened[..., view.baseline.shape[2] :], own)
         turned = family.rotation @ design[:, :, seen]
         roots = np.tile(root, (1, blocks))
         flat = turned.reshape(y.shape[1], -1)
@@ -261,30 +261,44 @@ def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Arra
     whitened: (S, b, n, width + 1 + M + q), under S shapes, in the order of `stacked`.
     """
     few = np.delete(whitened, np.s_[width + 1 : width + 1 + candidates], axis=3)
-    y, own, found, _ = _freed(few, width)
+    own, _ = _orthonormal(few[..., :width])
+    y, found = _freed(few[..., width:], own)
     design = whitened[..., width + 1 : width + 1 + candidates]
     design = (design - own @ (np.swapaxes(own, -1, -2) @ design)).reshape(*y.shape, candidates)
     return y, design - np.swapaxes(found, -1, -2) @ (found @ design)
 
 
-def _freed(whitened: Array, width: int) -> tuple[Array, Array, Array, Array]:
-    """Return the data (S, b n) free of the baseline and what was found, and the directions taken from them.
+def _own_baseline(view: View, family: str, whitened: Array) -> tuple[Array, Array]:
+    """Return what `_orthonormal` makes of a view's own baseline; the view keeps it where it is small."""
+    kept: dict[str, tuple[Array, Array]] = view.memo.setdefault("baselines", {})
+    if family in kept:
+        return kept[family]
+    made = _orthonormal(whitened)
+    if made[0].size <= AT_ONCE:
+        kept[family] = made
+    return made
 
-    whitened: (S, b, n, width + 1 + q) baseline, data and what was found, under S shapes. The second is
-    (S, b, n, p), each block's baseline by itself, orthonormal; the third (S, q, b n), what was found, over
-    all blocks, orthonormal or nothing. The fourth is log|B' C^-1 B| (S,).
+
+def _orthonormal(whitened: Array) -> tuple[Array, Array]:
+    """Return each block's whitened baseline (S, b, n, p), orthonormal, and log|B' C^-1 B| (S,)."""
+    own, r = np.linalg.qr(whitened)
+    return own, 2.0 * np.log(np.abs(np.einsum("...ii->...i", r)) + 1e-300).sum(axis=(-2, -1))
+
+
+def _freed(rest: Array, own: Array) -> tuple[Array, Array]:
+    """Return the data (S, b n) free of the baseline and what was found, and the directions of the latter.
+
+    rest: (S, b, n, 1 + q) data and what was found, whitened under S shapes; own: the baseline, as
+    `_orthonormal` has it. The second is (S, q, b n), over all blocks, orthonormal or nothing.
     """
-    shapes, blocks, n = whitened.shape[:3]
-    own, r = np.linalg.qr(whitened[..., :width])
-    determinant = 2.0 * np.log(np.abs(np.einsum("...ii->...i", r)) + 1e-300).sum(axis=(-2, -1))
-    rest = whitened[..., width:]
+    shapes, blocks, n = rest.shape[:3]
     before = np.sqrt((rest**2).sum(axis=(1, 2)))
     rest = (rest - own @ (np.swapaxes(own, -1, -2) @ rest)).reshape(shapes, blocks * n, -1)
     found, sizes, _ = np.linalg.svd(rest[:, :, 1:] / (before[:, None, 1:] + 1e-300), full_matrices=False)
     found = np.swapaxes(found * (sizes > ALONG)[:, None, :], -1, -2)
     y = rest[:, :, 0]
     y = y - np.einsum("sqn,sq->sn", found, np.einsum("sqn,sn->sq", found, y))
-    return y, own, found, determinant
+    return y, found
 
 
 @dataclass(frozen=True, slots=True, eq=False)

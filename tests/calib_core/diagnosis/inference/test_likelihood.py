@@ -47,6 +47,7 @@ def test_the_sums_are_those_of_plain_algebra_though_what_was_found_came_twice(
     found = rng.normal(size=(view.y.shape[1], 2))
     again = np.concatenate([found, 3.0 * found[:, :1], view.baseline[0][:, :1]], axis=1) if twice else found
     reduced = reduce_view(view, columns[None], [np.arange(4), np.array([1]), np.array([2])], again[None])
+    assert view.memo["baselines"].keys() == {f.name for f in families(view)}  # the second case takes them
     plain = by_residual_projection(view, columns, found)
     for mine, theirs in zip(
         (reduced.yy, reduced.pulls[0], reduced.blocks[0]), zip(*plain, strict=True), strict=True
