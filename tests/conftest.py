@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -31,6 +32,10 @@ from stillcal.replay.phone import load_phone, load_scenario, simulate
 
 hypothesis.settings.register_profile("busy machine", deadline=None)  # no test asserts how long it took
 hypothesis.settings.load_profile("busy machine")
+
+# A shell's job in the background ignores the one, under nohup(1) the other, and so would all that tests start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -100,8 +100,6 @@ def _become(
         sys.stdout, sys.stderr = (open(n, "w", encoding="utf-8", closefd=False) for n in (1, 2))  # noqa: SIM115 - open as long as the process
         sys.argv = ["stillcal", *map(str, arguments)]
         os.environ |= more
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it,
-        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # and under nohup(1) the other
         if folder is not None:
             os.chdir(folder)
         main()
