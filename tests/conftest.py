@@ -33,7 +33,7 @@ from stillcal.replay.phone import load_phone, load_scenario, simulate
 hypothesis.settings.register_profile("busy machine", deadline=None)  # no test asserts how long it took
 hypothesis.settings.load_profile("busy machine")
 
-# A shell's job in the background ignores the one, under nohup(1) the other, and so would all that tests start.
+# A shell's job in the background ignores the one, under nohup(1) the other, and so would all that it starts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
