@@ -9,13 +9,15 @@ import os
 import sys
 
 from stillcal.daemon.cli.interruption import quit_when_interrupted
+from stillcal.daemon.system.imports import without_collection
 
 
 def main() -> None:
     """Run the command line."""
     open_standard_streams()
     quit_when_interrupted()
-    from stillcal.daemon.cli.main import main as command  # noqa: PLC0415 - interrupted before as well
+    with without_collection():
+        from stillcal.daemon.cli.main import main as command  # noqa: PLC0415 - interrupted before as well
 
     command()
 

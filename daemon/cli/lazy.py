@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from stillcal.daemon.cli.interruption import raise_when_interrupted
+from stillcal.daemon.system.imports import without_collection
 
 
 def examples(*lines: str) -> str:
@@ -92,6 +93,7 @@ def _registered(group: str) -> dict[str, str]:
 
 def _imported(place: str) -> click.Command:
     module, attribute = place.split(":")
-    command: click.Command = getattr(importlib.import_module(module), attribute)
+    with without_collection():
+        command: click.Command = getattr(importlib.import_module(module), attribute)
     raise_when_interrupted()
     return command

@@ -17,6 +17,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import config_option
 from stillcal.daemon.system import log, memory
 from stillcal.daemon.system.files import passing
+from stillcal.daemon.system.imports import without_collection
 from stillcal.daemon.system.requirements import DAEMON, require
 from stillcal.daemon.system.systemd import Notifier, passed_sockets
 
@@ -60,7 +61,8 @@ def run_command(  # noqa: PLR0917 - click hands every option over by name
     require("stillcal run", DAEMON)
     quit_when_interrupted()  # until the service listens itself
     signal.signal(signal.SIGHUP, signal.SIG_IGN)  # systemd would take it for a clean end
-    from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
+    with without_collection():
+        from stillcal.daemon.app import Service  # noqa: PLC0415 - imports what only Linux has
 
     options = LaunchOptions(
         config=config,
