@@ -28,8 +28,19 @@ def test_tails_are_those_of_scipy_stats() -> None:
 
 def test_tails_have_ends() -> None:
     assert f_distribution.log_tail(0.0, 2, 9) == 0.0 and f_distribution.log_tail(np.inf, 2, 9) == -np.inf
-    assert float(chi_squared.log_tail(1e5, 2)) == -np.inf
+    assert float(chi_squared.log_tail(0.0, 2)) == 0.0
     assert f_distribution.log_tail(1e300, 2, 9) < -1000.0 and f_distribution.tail(1e300, 2, 9) == 0.0
+
+
+def test_what_is_surer_than_a_float_holds_is_still_told_apart() -> None:
+    """Else of several lines beyond doubt the first would be the clearest."""
+    far = chi_squared.log_tail(np.array([5e3, 5e4]), 2)
+    np.testing.assert_allclose(far, [-2.5e3, -2.5e4])
+    for freedom in (1, 3, 6, 600):
+        value = 1400.0 + 2.0 * freedom  # scipy still holds it here
+        np.testing.assert_allclose(
+            chi_squared._far(np.array(value), freedom), chi2.logsf(value, freedom), rtol=2e-6
+        )
 
 
 def test_a_diagnosis_and_a_simulation_import_neither_scipy_stats_nor_scipy_signal() -> None:
