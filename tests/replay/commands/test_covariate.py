@@ -33,19 +33,19 @@ VOLTS = 0.25
 
 def attitudes(rng: np.random.Generator) -> tuple[Array, Array, Any, Any]:
     """Return times (n,), s, directions (10, 3), which of them holds (n,), and whether it is moved (n,)."""
-    t = np.arange(int(1200 * RATE_HZ)) / RATE_HZ
+    t = np.arange(int(720 * RATE_HZ)) / RATE_HZ
     ups = rng.normal(size=(10, 3))
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
-    return t, ups, (t / 120.0).astype(int), (t % 120.0) < 4.0
+    return t, ups, (t / 72.0).astype(int), (t % 72.0) < 4.0
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Twenty minutes at 20 Hz in ten attitudes; the gyroscope's z follows a voltage logged each minute."""
+    """Twelve minutes at 20 Hz in ten attitudes; the gyroscope's z follows a voltage logged each 36 s."""
     rng = np.random.default_rng(4)
     t, ups, which, moving = attitudes(rng)
-    minutes = np.arange(0.0, 1201.0, 60.0)
-    volts = 3.8 + VOLTS * np.sin(minutes / 190.0) + 0.05 * rng.normal(size=minutes.size)
+    minutes = np.arange(0.0, 721.0, 36.0)
+    volts = 3.8 + VOLTS * np.sin(minutes / 114.0) + 0.05 * rng.normal(size=minutes.size)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
     rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
     rate[:, 2] += SLOPE * (np.interp(t, minutes, volts) - 3.8)
@@ -123,7 +123,7 @@ def test_a_simulation_is_told_how_much_of_the_effect_it_lacks(
     """Another course of the voltage, about another mean; and none, where the bias is steady."""
     rng = np.random.default_rng(6)
     t, ups, which, moving = attitudes(rng)
-    volts = 4.1 + VOLTS * np.cos(t / 130.0)
+    volts = 4.1 + VOLTS * np.cos(t / 78.0)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
     rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
     rate[:, 2] += part * SLOPE * (volts - 3.8)
@@ -142,7 +142,7 @@ def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> No
     """The column says the same of the bias as temperature does: an alternative, and no other explanation."""
     rng = np.random.default_rng(20)
     t, ups, which, moving = attitudes(rng)
-    warm = 28.0 + 5.0 * np.sin(t / 111.0) + 2.0 * np.sin(t / 53.0)
+    warm = 28.0 + 5.0 * np.sin(t / 67.0) + 2.0 * np.sin(t / 32.0)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
     rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
     rate += np.outer(warm - 28.0, [2e-4, 0.0, -1e-4])
