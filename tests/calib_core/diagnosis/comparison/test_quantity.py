@@ -117,7 +117,7 @@ def test_of_a_positive_quantity_a_hundredth_is_none(ratio: float, relation: str)
 def test_what_is_alike_is_rarely_called_different() -> None:
     """Of recordings with the same truth at most one in twenty of all answers has a false difference."""
     rng = np.random.default_rng(7)
-    false, answers, compared = 0, 4000, 10
+    false, answers, compared = 0, 1500, 10
     for _ in range(answers):
         truth = rng.normal(0.0, 10.0, (compared, 3))
         pairs = [

@@ -195,13 +195,12 @@ def test_wander_without_a_name_is_not_told_beside_structure_without_one() -> Non
     assert not_unknown_twice([Stated(step)], [unknown]) == [unknown]
 
 
-@pytest.mark.parametrize("seed", [2, 7])
-def test_a_name_whose_sizes_may_all_be_nothing_is_taken_off(seed: int) -> None:
+def test_a_name_whose_sizes_may_all_be_nothing_is_taken_off() -> None:
     """A gain that changes at a moment was told as a step of the bias by z -2.2 +- 2.7 mg, without a doubt."""
-    rng = np.random.default_rng(seed)
-    day, axis = nulls.schedule(rng, 1500), seed % 3
+    rng = np.random.default_rng(2)
+    day = nulls.schedule(rng, 1500)
     error = np.zeros((day.t.size, 3))
-    error[:, axis] = 0.006 * nulls.G * day.up[:, axis] * (day.t > 700.0)
+    error[:, 2] = 0.006 * nulls.G * day.up[:, 2] * (day.t > 700.0)
     made = slow_findings(scenes(nulls.bins_of(rng, day, "white", accel_error=error), nulls.G)[0])
     assert [f.effect for f in made] == ["unknown"]
 
