@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, with
 Index = NDArray[np.int64]
 Span = tuple[float, float]
 
-DRIVER = "gravity's direction, which the gyroscope does not see turn"
+DRIVER = "jumps of gravity's direction that the gyroscope does not see"
 
 REACH, FEWEST = 8, 3
 """Windows on either side of a moment that tell a step, at most and at least."""
@@ -170,8 +170,9 @@ def unseen_tilt(
     error = _errors(steps, moved, rounding, gravity)
     # F of two components over the noise about the line, whose tail is in closed form.
     log_chance = -0.5 * steps.freedom * np.log1p(steps.angle**2 / error**2 / steps.freedom)
-    # What turns while gravity stays where it was is the gyroscope's.
-    log_chance[steps.seen < 0.5 * steps.angle] = 0.0
+    # What turns while gravity stays where it was is the gyroscope's; where it turned half as far in whatever
+    # direction, its axes may be at fault.
+    log_chance[(steps.seen < 0.5 * steps.angle) | (moved > 0.5 * steps.angle)] = 0.0
     return _finding(steps, error, log_chance, overview.span[0])
 
 

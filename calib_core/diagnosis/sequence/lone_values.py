@@ -25,7 +25,7 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, WEIGHTS, residual, spread
 from stillcal.calib_core.streams.samples import Samples
 
-DRIVER = "single values in motion"
+DRIVER = "single values in motion, or blows shorter than two samples"
 
 FAR = 20.0
 """Spreads of what motion leaves about a value, from which on it stands out."""
@@ -60,7 +60,7 @@ def lone_values(samples: Samples, sensor: str, still: NDArray[np.bool_]) -> Find
     say = (
         f"In motion single values of the {NAME[sensor]}'s {', '.join(AXES[a] for a in axes)} jump away and"
         f" back, {rows.size} of {moving}, by {size:.3g} {UNIT[sensor]} (median): neither their neighbours nor"
-        " noise explain them."
+        " noise explain them. Blows shorter than two samples look the same: record at a higher rate to tell."
     )
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), DRIVER)
     sizes = {"fraction": share.parameter("1"), **sized({"size": (size, UNIT[sensor])})}

@@ -62,6 +62,14 @@ def test_a_nudge_that_both_see_is_silent() -> None:
         assert tilts(*on_foam(seed, rests=5)) is None
 
 
+def test_where_the_gyroscope_turned_in_another_direction_the_accelerometer_is_not_blamed() -> None:
+    """Two of the gyroscope's axes are exchanged: it sees as large a turn, about another axis."""
+    force, rate = lying(1, 0.0, 0.025, lasts=1.0)
+    assert tilts(force, rate) is None
+    for order in ([1, 0, 2], [2, 1, 0]):
+        assert tilts(force, Samples.checked(Sensor.GYROSCOPE, rate.t, rate.xyz[:, order])) is None
+
+
 def test_where_the_gyroscope_does_not_measure_nothing_is_said() -> None:
     force, rate = lying(1, 0.02, 0.0)
     assert tilts(force, rate, (55.0, 65.0), (135.0, 145.0)) is None
