@@ -123,15 +123,12 @@ def install_command(  # noqa: PLR0917 - click hands every option over by name
         if only_print:
             click.echo(f"# /{place}\n{text}")
         elif place == SETTINGS and target.exists():
-            missing = f"; add to it what --uinput needs: {PUBLISH_UINPUT}" if uinput else ""
-            click.echo(f"{target}: exists, not changed{missing}")
+            click.echo(f"{target}: exists, not changed{_lacking(target, uinput)}")
         else:
             _write(target, text)
             click.echo(f"{target}: written")
     if not only_print:
-        click.echo(
-            "Start it: systemctl daemon-reload && systemctl enable --now stillcal.socket stillcal.service"
-        )
+        _say_what_is_next(uinput)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +163,22 @@ def files(
         SETTINGS,
         f"# See `stillcal run --help`. What is not set here has its default.\n{publish}[source]\n{source}\n",
     )
+
+
+def _lacking(settings: Path, uinput: bool) -> str:
+    """Return what a person should add to settings that are there already; nothing where they have it."""
+    if not uinput or PUBLISH_UINPUT in settings.read_text(encoding="utf-8", errors="replace"):
+        return ""
+    return f"; add as its first line what --uinput needs: {PUBLISH_UINPUT}"
+
+
+def _say_what_is_next(uinput: bool) -> None:
+    if uinput:
+        click.echo(
+            "Let the input device be made, or start the machine anew:"
+            " modprobe uinput && udevadm control --reload && udevadm trigger"
+        )
+    click.echo("Start it: systemctl daemon-reload && systemctl enable --now stillcal.socket stillcal.service")
 
 
 def _line_group() -> str:

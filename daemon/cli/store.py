@@ -157,10 +157,9 @@ def _findings(path: Path) -> list[dict[str, Any]]:
     piped = str(path) == STANDARD_INPUT
     data = sys.stdin.buffer.read(MAX_BYTES) if piped else read_regular(path, MAX_BYTES)
     try:
-        findings = json.loads(data.decode("utf-8"))["findings"]
+        return [dict(finding) for finding in json.loads(data.decode("utf-8"))["findings"]]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
-    return [dict(finding) for finding in findings]
 
 
 @store_group.command(

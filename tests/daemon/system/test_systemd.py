@@ -102,7 +102,15 @@ def test_an_input_device_is_let_through_and_readable_by_who_is_logged_in(tmp_pat
     verified = run(need("systemd-analyze"), "verify", "--man=no", *services)
     assert (verified.returncode, verified.stdout, verified.stderr) == (0, "", "")
     again = run(STILLCAL, "install-service", "--root", tmp_path, "--uinput")
-    assert 'not changed; add to it what --uinput needs: publish.to = ["uinput"]' in again.stdout
+    assert "toml: exists, not changed\n" in again.stdout, "it has what is needed"
+    assert "modprobe uinput && udevadm control --reload" in again.stdout
+    settings = tmp_path / "etc/stillcal/stillcal.toml"
+    settings.write_text('[source]\nport = "/dev/ttyS0"\n')
+    again = run(STILLCAL, "install-service", "--root", tmp_path, "--uinput")
+    told = 'not changed; add as its first line what --uinput needs: publish.to = ["uinput"]'
+    assert told in again.stdout
+    settings.write_text('publish.to = ["uinput"]\n' + settings.read_text())
+    assert load_settings(settings).publish.to == ("uinput",)
 
 
 def test_printing_changes_nothing(tmp_path: Path) -> None:

@@ -130,8 +130,9 @@ def test_a_diagnosis_comes_through_a_pipe(folder: Path, tmp_path: Path) -> None:
     given = json.dumps({"findings": [finding]}).encode()
     adopted = ran("store", "adopt-terms", tmp_path / "store.json", "-", given=given)
     assert adopted.returncode == 0 and b"now corrects gyro_bias_temperature" in adopted.stdout, adopted.stderr
-    bad = ran("store", "adopt-terms", tmp_path / "store.json", "-", given=b"{}")
-    assert bad.returncode == 2 and bad.stderr.startswith(b"stillcal: standard input: not a diagnosis")
+    for other in (b"{}", b'{"findings": 3}', b'{"findings": [3]}'):
+        bad = ran("store", "adopt-terms", tmp_path / "store.json", "-", given=other)
+        assert bad.returncode == 2 and bad.stderr.startswith(b"stillcal: standard input: not a diagnosis")
     assert ran("store", "history", "-", given=store).stdout.split()[:2] == [b"standard", b"input"]
 
 
