@@ -70,6 +70,14 @@ def test_where_the_gyroscope_turned_in_another_direction_the_accelerometer_is_no
         assert tilts(force, Samples.checked(Sensor.GYROSCOPE, rate.t, rate.xyz[:, order])) is None
 
 
+def test_what_the_gyroscope_alone_turns_is_not_the_accelerometers() -> None:
+    """Its bias is off for 3 s, by too little to be a motion: gravity stays where it was."""
+    force, rate = lying(1, 0.0, 0.0)
+    own = rate.xyz.copy()
+    own[(rate.t >= 60.0) & (rate.t < 63.0), 0] += 0.002
+    assert tilts(force, Samples.checked(Sensor.GYROSCOPE, rate.t, own)) is None
+
+
 def test_where_the_gyroscope_does_not_measure_nothing_is_said() -> None:
     force, rate = lying(1, 0.02, 0.0)
     assert tilts(force, rate, (55.0, 65.0), (135.0, 145.0)) is None

@@ -41,7 +41,7 @@ def test_a_byte_that_is_torn_in_motion_is_found() -> None:
     assert found(t, LSB * code) == [DRIVER]
 
 
-@pytest.mark.parametrize("kind", ["turned", "knocked", "shaken", "twice", "coarse"])
+@pytest.mark.parametrize("kind", ["turned", "knocked", "struck", "shaken", "twice", "coarse"])
 def test_sound_motion_is_silent(kind: str) -> None:
     rng = np.random.default_rng(2)
     t, code = turned(rng)
@@ -52,6 +52,9 @@ def test_sound_motion_is_silent(kind: str) -> None:
             rate += np.outer(
                 (t >= at) * np.exp(-since / 0.04) * np.sin(60.0 * since + 1.0), rng.normal(size=3)
             )
+    elif kind == "struck":  # blows of one sample come on more than one axis
+        blows = (np.abs(code).max(axis=1) > 50) & (rng.random(t.size) < 0.02)
+        rate[blows] += rng.choice([-0.5, 0.5], (int(blows.sum()), 3))
     elif kind == "shaken":
         rate += np.outer(0.3 * np.sin(2.0 * np.pi * 21.3 * t) * (t % 40.0 < 7.0), [1.0, 0.3, 0.0])
     elif kind == "twice":  # two single values may be anything
