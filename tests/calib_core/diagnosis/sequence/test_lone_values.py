@@ -54,7 +54,7 @@ def test_sound_motion_is_silent(kind: str) -> None:
             )
     elif kind == "struck":  # blows of one sample come on more than one axis
         blows = (np.abs(code).max(axis=1) > 50) & (rng.random(t.size) < 0.02)
-        rate[blows] += rng.choice([-0.5, 0.5], (int(blows.sum()), 3))
+        rate[blows] += rng.uniform(-1.0, 1.0, (int(blows.sum()), 3))
     elif kind == "shaken":
         rate += np.outer(0.3 * np.sin(2.0 * np.pi * 21.3 * t) * (t % 40.0 < 7.0), [1.0, 0.3, 0.0])
     elif kind == "twice":  # two single values may be anything
