@@ -13,20 +13,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import (
+    NORMAL_95,
+    Index,
+    Seen,
+    direct_finding,
+    of_chance,
+    sized,
+)
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_ANGLE
 from stillcal.calib_core.diagnosis.model.settings import JUMP
+from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.segments.orientation import LONGEST_GAP
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import rest_edges
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, without_gaps, without_spikes
-
-Index = NDArray[np.int64]
-Span = tuple[float, float]
 
 DRIVER = "jumps of gravity's direction that the gyroscope does not see"
 

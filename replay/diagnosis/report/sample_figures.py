@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
@@ -52,17 +54,26 @@ def samples_figure(sources: RecordedAndSimulated, unit: str, axis: int, at: floa
 
 def cycle_figure(sources: RecordedAndSimulated, unit: str, axis: int, period: float, what: str) -> str:
     """Draw how large what neighbours leave of samples is over a cycle of `period` codes or samples."""
+    courses = [(label, colour, _course(samples, axis, period, what)) for label, colour, samples, _ in sources]
+    said = f"{what}, modulo {period:.4g}", f"size left by neighbours, {'xyz'[axis]}"
+    return _over_a_cycle(courses, unit, period, *said)
+
+
+def _over_a_cycle(
+    courses: Sequence[tuple[str, str, Array | None]], unit: str, period: float, along: str, up: str
+) -> str:
+    """Draw values in each part of a cycle: label, colour and values (k,), None of a source without any.
+
+    along, up: what the axes say; the unit is added to the second.
+    """
     with drawing() as (_, axes, out):
-        courses = [
-            (label, colour, _course(samples, axis, period, what)) for label, colour, samples, _ in sources
-        ]
         shown = [(label, colour, course) for label, colour, course in courses if course is not None]
         scale, name = shown_in(np.concatenate([c for *_, c in shown]) if shown else np.ones(1), unit)
         for label, colour, course in shown:
             place = (np.arange(course.size) + 0.5) * period / course.size
             axes.plot(place, course * scale, color=colour, lw=1.2, marker="o", ms=3.0, label=label)
-        axes.set_xlabel(f"{what}, modulo {period:.4g}")
-        axes.set_ylabel(f"size left by neighbours, {'xyz'[axis]}, {pretty(name)}")
+        axes.set_xlabel(along)
+        axes.set_ylabel(f"{up}, {pretty(name)}")
     return out[0]
 
 
@@ -83,18 +94,11 @@ def _course(samples: Samples, axis: int, period: float, what: str) -> Array | No
 
 def period_figure(sources: RecordedAndSimulated, unit: str, axis: int, period: float) -> str:
     """Draw the mean of one axis at rest in each part of a period, s."""
-    with drawing() as (_, axes, out):
-        courses = [
-            (label, colour, _folded(samples, bins, axis, period)) for label, colour, samples, bins in sources
-        ]
-        shown = [(label, colour, course) for label, colour, course in courses if course is not None]
-        scale, name = shown_in(np.concatenate([c for *_, c in shown]) if shown else np.ones(1), unit)
-        for label, colour, course in shown:
-            place = (np.arange(course.size) + 0.5) * period / course.size
-            axes.plot(place, course * scale, color=colour, lw=1.2, marker="o", ms=3.0, label=label)
-        axes.set_xlabel(f"time, modulo {period:.4g} s")
-        axes.set_ylabel(f"mean minus the interval's, {'xyz'[axis]}, {pretty(name)}")
-    return out[0]
+    courses = [
+        (label, colour, _folded(samples, bins, axis, period)) for label, colour, samples, bins in sources
+    ]
+    said = f"time, modulo {period:.4g} s", f"mean minus the interval's, {'xyz'[axis]}"
+    return _over_a_cycle(courses, unit, period, *said)
 
 
 def _folded(samples: Samples, bins: Bins, axis: int, period: float) -> Array | None:
