@@ -6,7 +6,6 @@ import textwrap
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from stillcal.daemon.system.plain_words import probability_text
 from stillcal.daemon.system.printable import printable
 
 WIDTH = 24
@@ -88,7 +87,7 @@ def _is_wide(column: Sequence[str]) -> bool:
 def _named(name: str, value: Any) -> str:
     """Return a field of a record as text."""
     likely = name == "probability" and isinstance(value, float)
-    return probability_text(value) if likely else _text(value)
+    return f"{value:.2f}" if likely else _text(value)
 
 
 def _text(value: Any) -> str:

@@ -1,9 +1,6 @@
-"""Numbers as people say them: lengths of time and probabilities."""
+"""Lengths of time as people say them."""
 
 from __future__ import annotations
-
-NEARLY_CERTAIN = 0.9995
-"""Probability that three digits would round to one."""
 
 
 def duration(seconds: float | None) -> str:
@@ -20,8 +17,3 @@ def duration(seconds: float | None) -> str:
             rest = whole % unit // part
             return f"{whole // unit} {name}" + (f" {rest} {smaller}" if rest else "")
     return f"{whole} s"
-
-
-def probability_text(probability: float) -> str:
-    """Return a probability in three digits; what rounds to certainty is said to be above 0.999."""
-    return "above 0.999" if probability > NEARLY_CERTAIN else f"{probability:.3f}"

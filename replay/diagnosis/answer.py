@@ -171,7 +171,7 @@ def _finding(
         "parameters": {},
         "alternatives": [] if own is None or in_both else [_alternative(a) for a in own.alternatives],
         "relation": one.relation,
-        "probability": one.probability,
+        "probability": one.true,
         "difference": {},
         "simulated": {},
         "evidence": {"log_bayes_factor": one.log_bayes_factor},

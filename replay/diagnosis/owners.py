@@ -52,7 +52,7 @@ class Owned:
             "effect": one.effect,
             "sensor": one.sensor,
             "axes": one.axes,
-            "probability": float(one.probability * self.shares.max()),
+            "probability": float(one.true * self.shares.max()),
             "note": f"{noun(one.effect, one.sensor)}{axes} (axes of the recording): it is {name}'s, not the"
             f" recording's, because {self.names[0]} and the others do not show it against each other.",
         }

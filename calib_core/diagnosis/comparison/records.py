@@ -11,6 +11,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, Relation
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.settings import STATEMENTS_TRUE
 
 Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
 LEAST_JUDGED = 1.0 / 3.0
@@ -24,8 +25,8 @@ LEVEL = 0.01
 class Discrepancy:
     """One thing that differs. difference: None where only one of the two has the effect at all.
 
-    finding: the single recording's finding where it comes from one (`recorded` or `simulated` has it).
-    log_bayes_factor: nats for a difference, against none. note: what was assumed, a sentence, "" for nothing.
+    probability: of a difference, against none; log_bayes_factor: nats for it. recorded, simulated: a single
+    recording's finding where it comes from one. note: what was assumed, a sentence, "" for nothing.
     """
 
     effect: str
@@ -39,6 +40,11 @@ class Discrepancy:
     recorded: Finding | None = None
     simulated: Finding | None = None
     note: str = ""
+
+    @property
+    def true(self) -> float:
+        """Probability that the statement is true: that there is a difference, and that this is what it is."""
+        return STATEMENTS_TRUE * self.probability
 
 
 @dataclass(frozen=True, slots=True)

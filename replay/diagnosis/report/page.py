@@ -16,7 +16,6 @@ import numpy as np
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.judged import Judged
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.pictures import Album, Picture
@@ -201,7 +200,7 @@ def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
     where, evidence = finding["where"], finding["evidence"]
     relation = RELATIONS[finding["relation"]].format(simulation)
     text = (
-        f"Probability {probability_text(finding['probability'])} that {relation}. Seen from"
+        f"Probability {finding['probability']:.2f} that {relation}. Seen from"
         f" {where['t_start'] - start:.0f} to {where['t_end'] - start:.0f} s"
     )
     text += "." if where["driver"] == "nothing" else f", following {where['driver']}."

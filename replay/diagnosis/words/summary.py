@@ -10,7 +10,6 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN
 from stillcal.calib_core.diagnosis.comparison.records import LEVEL
-from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import with_interval
 
@@ -34,7 +33,7 @@ def headline(answer: Mapping[str, Any]) -> str:
     named = all(f["effect"] != "unknown" for f in answer["findings"])
     if answer["verdict"] == "partly_identified" and named and "p_after" in answer["fit"]:
         text = NAMED_ONLY
-    if any("owners" in f and f["probability"] < CERTAIN for f in answer["findings"]):
+    if any(max(f["owners"].values()) < CERTAIN for f in answer["findings"] if "owners" in f):
         text = NOT_WHOSE
     checks = f"{made} of {of} checks possible"
     return f"{text} ({checks})"
@@ -86,9 +85,7 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
     """Return the answer in some lines for a terminal, the verdict first."""
     simulation = simulation_text(answer["simulation"])
     out = [f"{answer['recording']} against {simulation}: {headline(answer)}"]
-    out += [
-        f"  {f['statement']} (probability {probability_text(f['probability'])})" for f in answer["findings"]
-    ]
+    out += [f"  {f['statement']} (probability {f['probability']:.2f})" for f in answer["findings"]]
     out += [f"  {text}" for text in [outcome(answer)] if text]
     witnesses = answer.get("witnesses", [])
     out += [f"  witness: {told['note']}" for one in witnesses for told in (*one["findings"], one)]

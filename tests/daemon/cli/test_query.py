@@ -115,12 +115,12 @@ def test_a_table_is_aligned_and_says_what_it_leaves_out() -> None:
 
 def test_a_table_with_several_long_texts_gives_them_lines_of_their_own_below_their_row() -> None:
     rows = [
-        {"effect": f"e{n}", "size": "x " * 40, "json": "{}", "probability": 1.0, "outcome": f"{n} y " * 30}
+        {"effect": f"e{n}", "size": "x " * 40, "json": "{}", "probability": 0.97, "outcome": f"{n} y " * 30}
         for n in range(2)
     ]
     text = list(lines({"findings": rows}))
     assert text[1].split() == ["effect", "probability"] and "json" not in "\n".join(text)
-    assert text[2].split() == ["e0", "above", "0.999"]
+    assert text[2].split() == ["e0", "0.97"]
     assert text[3].strip().startswith("size: x x") and max(map(len, text)) <= 110
     (first,) = [i for i, line in enumerate(text) if line.strip().startswith("e1")]
     assert any("outcome: 0 y" in line for line in text[:first])

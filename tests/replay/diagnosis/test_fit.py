@@ -50,3 +50,9 @@ def test_scales_that_share_gravitys_error_are_told_against_their_mean() -> None:
     np.testing.assert_allclose(against["value"], [0.01 / 3.0, -0.005 / 3.0, -0.005 / 3.0])
     assert np.ptp(against["ci95"], axis=1).max() < 6e-4
     assert "The difference is scale against the mean of the axes x 0.333 ± 0.023 %." in said["statement"]
+
+
+def test_a_difference_beyond_doubt_is_stated_with_how_often_such_statements_are_true() -> None:
+    where = Where(0.0, 900.0, (0.0, 0.05), "time")
+    sure, nearly = (Discrepancy("unknown", "gyro", [], where, "lacking", odds, 20.0) for odds in (1.0, 0.96))
+    assert sure.true == pytest.approx(0.97) and nearly.true == pytest.approx(0.96 * 0.97)

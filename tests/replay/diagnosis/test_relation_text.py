@@ -10,7 +10,6 @@ import pytest
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
 from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
-from stillcal.daemon.system.plain_words import probability_text
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor
 
@@ -133,11 +132,6 @@ def test_a_ratio_of_the_root_of_two_may_be_a_convention(ratio: float, told_so: b
     }
     assert ("two-sided" in statement(finding, ("real.csv", BUILT_IN))) == told_so
     assert "two-sided" not in statement(finding, ("real.csv", "sim.csv"))
-
-
-@pytest.mark.parametrize(("probability", "text"), [(1.0, "above 0.999"), (0.9994, "0.999"), (0.952, "0.952")])
-def test_no_probability_is_printed_as_certainty(probability: float, text: str) -> None:
-    assert probability_text(probability) == text
 
 
 def test_a_bias_names_the_temperature_that_it_holds_at() -> None:
