@@ -51,22 +51,19 @@ def unlimited(bins: Bins, found: Sequence[Finding], force: Stream) -> Bins:
 
 def roughened(bins: Bins, seen: dict[str, Steps]) -> Bins:
     """Return bins whose means are no surer than steps that hide the noise allow, however many lie as one."""
-    for sensor, values, variances in (
-        ("accel", "force", "force_variance"),
-        ("gyro", "rate", "rate_variance"),
-    ):
-        mean = getattr(bins, values)
-        if len(bins) and mean is not None and sensor in seen and seen[sensor].blurs_level():
-            wide = _shared_error(mean, bins, seen[sensor])
-            bins = replace(bins, **{variances: getattr(bins, variances) + wide})
+    for sensor, values in (("accel", "force"), ("gyro", "rate")):
+        mean, error = getattr(bins, values), getattr(bins, f"{values}_rounding")
+        if len(bins) and mean is not None and error is not None and seen[sensor].blurs_level():
+            variance = getattr(bins, f"{values}_variance") + _shared_error(mean, error, seen[sensor])
+            bins = replace(bins, **{f"{values}_variance": variance})
     return bins
 
 
-def _shared_error(mean: Array, bins: Bins, seen: Steps) -> Array:
-    """Return variances (n, 3): the steps' error, which all bins share whose means round alike."""
+def _shared_error(mean: Array, error: Array, seen: Steps) -> Array:
+    """Return variances (n, 3): the steps' error (3,), which all bins share whose means round alike."""
     cells = np.rint(mean / max(seen.largest, 1e-300))
     _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    return np.asarray(seen.mean_error() ** 2 * count[which.ravel()][:, None], dtype=np.float64)
+    return np.asarray(error**2 * count[which.ravel()][:, None], dtype=np.float64)
 
 
 def limits_of(effect: str, found: Sequence[Finding | None]) -> list[float]:

@@ -35,7 +35,6 @@ FINE = 1.6
 """Steps, in standard deviations of the noise, up to which single samples show its tails: the fourth moment of
 normal noise is then off by 0.001 (the first harmonic, exp(-2 pi^2 / 1.6^2))."""
 
-HARMONICS = 8
 USUAL = {
     "accel": 9.80665 * 2.0 ** np.arange(1, 5) / 32768.0,
     "gyro": np.deg2rad(np.outer([125.0 / 32768.0, 4.375e-3], 2.0 ** np.arange(5))).ravel(),
@@ -81,13 +80,6 @@ class Steps:
         """Whether single samples show the noise's tails (`FINE`)."""
         least = float(self.sd.min())
         return least > 0.0 and self.largest < FINE * least
-
-    def mean_error(self) -> Array:
-        """Return the rms error (3,) that steps leave in the mean of a rest: no time averages it away."""
-        noise = np.sqrt(np.maximum(self.sd**2 - self.step**2 / 12.0, 0.0))
-        k = np.arange(1, HARMONICS + 1)[:, None]
-        fading = np.exp(-2.0 * (np.pi * k * noise / np.maximum(self.step, 1e-300)) ** 2)
-        return np.asarray(self.step * np.sqrt(0.5 * ((fading / (np.pi * k)) ** 2).sum(axis=0)))
 
 
 def steps(samples: Samples, sd: Array) -> Steps:

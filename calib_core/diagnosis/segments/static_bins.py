@@ -16,7 +16,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments import orientation as poses
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error
 from stillcal.calib_core.diagnosis.segments.windows import (
     KNOCK,
     WINDOW,
@@ -159,17 +159,16 @@ def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
 
 
-def _rounding(samples: Samples, parts: Windows, still: NDArray[np.bool_]) -> Array:
-    """Return the sd (3,) of a rest's mean by rounding: a sine of amplitude step / pi, dithered by noise.
-
-    Widrow and Kollar, Quantization Noise (2008), ch. 7: exp(-2 pi^2 sd^2 / step^2); at most one value's.
-    """
-    if not still.any():
+def _rounding(samples: Samples, parts: Windows, first: Array, last: Array) -> Array:
+    """Return the sd (3,) of the error that steps leave in the mean of bins, [first, last) windows each."""
+    if not first.size:
         return np.zeros(3)
     step = np.array([comb_step(column) or 0.0 for column in samples.xyz.T])
-    noise = np.maximum(np.median(parts.variance[still], axis=0) - step**2 / 12.0, 0.0)
-    dither = np.exp(-2.0 * np.pi**2 * noise / np.maximum(step, 1e-12) ** 2)
-    return np.asarray(np.minimum(step / np.sqrt(12.0), step / np.pi / np.sqrt(2.0) * dither))
+    count = parts.count[:, None]
+    square = np.maximum(count - 1.0, 0.0) * parts.variance + count * parts.mean**2
+    per_bin = _bin_means(np.hstack([count, count * parts.mean, square]), first, last)
+    mean, square = per_bin[:, 1:4] / per_bin[:, :1], per_bin[:, 4:] / per_bin[:, :1]
+    return rounding_error(mean, square - mean**2, step)
 
 
 def rest_runs(still: NDArray[np.bool_], shortest: int = SHORTEST_REST) -> list[tuple[int, int]]:
@@ -271,8 +270,8 @@ def cut(
         rate=None if rate is None else _bin_means(rate.mean, first, last),
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last),
         temperature=_bin_temperatures(overview.thermometer, span[0], first, last),
-        force_rounding=_rounding(accelerometer, force, still),
-        rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, still),
+        force_rounding=_rounding(accelerometer, force, first, last),
+        rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, first, last),
         **_charging(events, span, first, last),
     )
 

@@ -1,6 +1,8 @@
-"""The grid that a sensor's values lie on."""
+"""The grid that a sensor's values lie on, and the error that it leaves in the mean of a rest."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 
@@ -8,6 +10,20 @@ from stillcal.calib_core.arrays import Array
 
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 COMB_SAMPLES = 20000
+
+HARMONICS = 8
+BENEATH = np.linspace(0.1, 1.0, 91)
+"""Noise, in steps, that is told apart by the codes it reaches: less than the first reaches two codes at most,
+and with the last nothing is left of a step in a mean."""
+
+PLACES = np.linspace(0.0, 1.0, 65)
+"""Places of a mean between two codes, in steps."""
+
+CODES = np.arange(-8.0, 10.0)
+"""Codes about a mean that noise of one step reaches."""
+
+NO_THIRD = 1e-6
+"""Excess variance, steps^2, that is rounding: one sample in 10^6 on a third code."""
 
 
 def comb_step(values: Array) -> float | None:
@@ -40,3 +56,51 @@ def _refined(distinct: Array, step: float) -> float:
         if multiples.any() and float(np.abs(near / step - multiples).max()) < 0.25:
             step = float(near @ multiples / (multiples @ multiples))
     return step
+
+
+def rounding_error(mean: Array, variance: Array, step: Array) -> Array:
+    """Return the rms error (3,) that steps leave in the mean of a rest: no time averages it away.
+
+    mean, variance: (n, 3) of the values of still bins; step: (3,), 0 for none. The error is periodic in the
+    true mean; noise fades its harmonics (Widrow and Kollar, Quantization Noise, 2008, ch. 7).
+    """
+    k = np.arange(1, HARMONICS + 1)
+    out = np.zeros(3)
+    for axis in np.flatnonzero(step > 0.0):
+        noise = _noise_beneath(mean[:, axis] / step[axis], variance[:, axis] / step[axis] ** 2)
+        fading = np.exp(-2.0 * (np.pi * k * noise) ** 2)
+        out[axis] = step[axis] * np.sqrt(0.5 * ((fading / (np.pi * k)) ** 2).sum())
+    return out
+
+
+def _noise_beneath(mean: Array, variance: Array) -> float:
+    """Return the sd of the noise before rounding, of bins with mean and variance (n,) in steps.
+
+    With the mean at a part p between two codes, values on these alone have the variance p (1 - p), however
+    little noise there is; what is more is of noise that reaches a third code. It is the median of bins,
+    weighed by this excess. None reached by any is no noise.
+    """
+    place = mean - np.floor(mean)
+    excess = variance - place * (1.0 - place)
+    told = np.flatnonzero(excess > NO_THIRD)
+    if told.size == 0:
+        return 0.0
+    by_noise = np.array([np.interp(place[told], PLACES, row) for row in _excesses()])
+    noise = np.array([np.interp(e, by_noise[:, i], BENEATH) for i, e in enumerate(excess[told])])
+    order = np.argsort(noise)
+    share = np.cumsum(excess[told][order])
+    return float(noise[order][np.searchsorted(share, 0.5 * share[-1])])
+
+
+@cache
+def _excesses() -> Array:
+    """Return the excess (noise, place) of the variance that normal noise makes of rounded values."""
+    from scipy.special import ndtr  # noqa: PLC0415 - the daemon stays light
+
+    rows = []
+    for noise in BENEATH:
+        edges = (CODES[:, None] + 0.5 - PLACES) / noise
+        chance = np.diff(ndtr(edges), axis=0)
+        mean = CODES[1:] @ chance
+        rows.append(np.interp(PLACES, mean, CODES[1:] ** 2 @ chance - mean**2) - PLACES * (1.0 - PLACES))
+    return np.maximum.accumulate(np.array(rows), axis=0)

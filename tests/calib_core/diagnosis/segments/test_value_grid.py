@@ -1,0 +1,36 @@
+"""The error that coarse steps leave in the mean of a rest, told from the codes that rests reach."""
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.segments.value_grid import rounding_error
+
+STEP = 0.05
+SAMPLES = 500
+
+
+def rests(noise: float, places: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the means and variances (n, 3) of rounded rests; noise and places of the true means in steps."""
+    rng = np.random.default_rng(5)
+    true = np.array(places)[:, None, None] + rng.normal(0.0, noise, (len(places), SAMPLES, 3))
+    values = STEP * np.rint(true)
+    return values.mean(axis=1), values.var(axis=1)
+
+
+@pytest.mark.parametrize("places", [[3.0, 7.1, 9.5], [0.1, 5.5, 8.4], [2.0, 2.02, -7.9]])
+@pytest.mark.parametrize("noise", [0.26, 0.4])
+def test_few_rests_tell_it_wherever_their_means_lie_between_two_codes(
+    noise: float, places: list[float]
+) -> None:
+    """The variance of the values alone is up to twice as large midway between two codes as on one of them."""
+    expected = STEP / np.pi / np.sqrt(2.0) * np.exp(-2.0 * (np.pi * noise) ** 2)
+    assert rounding_error(*rests(noise, places), np.full(3, STEP)) == pytest.approx(expected, rel=0.45)
+
+
+def test_noise_that_reaches_no_third_code_leaves_all_of_the_error() -> None:
+    error = rounding_error(*rests(0.05, [0.5, 4.48, 7.0]), np.full(3, STEP))
+    assert error == pytest.approx(STEP / np.sqrt(12.0), rel=0.1)
+
+
+def test_no_step_leaves_no_error() -> None:
+    assert not rounding_error(*rests(0.3, [0.0, 1.0]), np.zeros(3)).any()
