@@ -357,7 +357,7 @@ class Service:
         """Read the settings again. Returns why they were refused (the old ones then stay), or nothing."""
         self._notifier.reloading()
         try:
-            await self._apply(self._options.settings())
+            await self._apply(self._options.settings_again())
         except (SettingsError, TryAgainError) as error:
             say("error", "reload", f"refused, the old settings stay in force: {error}")
             return str(error)

@@ -19,6 +19,7 @@ from stillcal.daemon.settings import (
 from stillcal.daemon.sources.base import SerialSettings
 from stillcal.daemon.sources.sysfs import DEVICES
 from stillcal.daemon.store.store import StoreSettings
+from stillcal.daemon.system.files import input_name, is_read_once
 from stillcal.daemon.system.printable import is_utf8
 
 Part = TypeVar("Part", SourceSettings, StoreSettings, SocketSettings, PublishSettings)
@@ -60,6 +61,13 @@ class LaunchOptions:
             what = "publishing to iio writes to this machine's own sensors"
             raise SettingsError(f'{what}: set kind = "iio" under [source], or leave it out')
         return settings
+
+    def settings_again(self) -> Settings:
+        """Read the settings file once more. Raises SettingsError, also where it was a pipe."""
+        if self.config is not None and is_read_once(self.config):
+            name = input_name(self.config)
+            raise SettingsError(f"{name} can be read only once: restart the daemon, or give it a file")
+        return self.settings()
 
     def _refuse_odd_bytes(self) -> None:
         """Raise SettingsError where an option is no UTF-8: it could be neither answered nor stored."""

@@ -22,7 +22,7 @@ import msgspec
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import TryAgainError, UserError
 from stillcal.daemon.store.store import StoreSettings
-from stillcal.daemon.system.files import passing, read_regular
+from stillcal.daemon.system.files import input_name, passing, read_input
 
 T = TypeVar("T")
 
@@ -173,22 +173,23 @@ class Settings:
 
 
 def load_settings(path: Path | str | None = None) -> Settings:
-    """Read settings from a TOML file; what it does not mention, or no file at all, is the default.
+    """Read settings from a TOML file ("-": standard input); what it leaves out, or no file, is the default.
 
     Raises SettingsError on a file that cannot be read, is not TOML, names an unknown key, or gives a
     value of the wrong type or out of its range, and TryAgainError where the system cannot read it now.
     """
     if path is None:
         return Settings()
+    name = input_name(path)
     try:
-        text = read_regular(Path(path), MAX_BYTES).decode("utf-8")
+        text = read_input(path, MAX_BYTES).decode("utf-8")
     except UnicodeDecodeError as error:
-        raise SettingsError(f"{path}: not UTF-8 text: give the path of a TOML file") from error
+        raise SettingsError(f"{name}: not UTF-8 text: give the path of a TOML file") from error
     except OSError as error:
         if passing(error):
-            raise TryAgainError(f"{path}: {error.strerror}") from error
-        raise SettingsError(f"{path}: {error.strerror}: give the path of a TOML file") from error
-    return parse_settings(text, str(path))
+            raise TryAgainError(f"{name}: {error.strerror}") from error
+        raise SettingsError(f"{name}: {error.strerror}: give the path of a TOML file") from error
+    return parse_settings(text, name)
 
 
 def parse_settings(text: str, name: str = "settings") -> Settings:

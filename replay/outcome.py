@@ -13,9 +13,9 @@ from stillcal.calib_core.calibration.record import AccelerometerRecord, Calibrat
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.rms import rms
-from stillcal.daemon.store.files import StoreError, read_standard_input
+from stillcal.daemon.store.files import StoreError, piped
 from stillcal.daemon.store.store import Store, StoreSettings
-from stillcal.daemon.system.files import STANDARD_INPUT
+from stillcal.daemon.system.files import input_name, is_read_once
 from stillcal.replay.runner import Outcome
 
 _DEG = 180 / np.pi
@@ -48,16 +48,14 @@ def full(actions: Iterable[Publish | Reject]) -> list[Publish | Reject]:
 
 
 def current_in_store(path: Path | str) -> CalibrationRecord:
-    """Return the current calibration of a store ('-': on standard input).
+    """Return the current calibration of a store, which may come through a pipe ('-': standard input).
 
     Raises StoreError where there is none.
     """
-    piped = str(path) == STANDARD_INPUT
-    document = read_standard_input() if piped else Store(path).load()
+    document = piped(Path(path)) if is_read_once(path) else Store(path).load()
     record = None if document is None else document.current
     if record is None:
-        where = "standard input" if piped else path
-        raise StoreError(f"{where}: has no calibration; run stillcal replay or the daemon first")
+        raise StoreError(f"{input_name(path)}: has no calibration; run stillcal replay or the daemon first")
     return record
 
 

@@ -28,7 +28,7 @@ class FiniteRange(click.FloatRange):
 
 
 config_option: Option[Any] = click.option(
-    "--config", type=click.Path(path_type=Path), help="Settings file (TOML)."
+    "--config", type=click.Path(path_type=Path), help="Settings file (TOML; '-': standard input)."
 )
 socket_option: Option[Any] = click.option(
     "--socket", "path", default="", help="The daemon's socket [default: the user's, else the system's]."

@@ -30,9 +30,9 @@ from stillcal.daemon.store.document import (
     differences,
     parse,
 )
-from stillcal.daemon.store.files import MAX_BYTES, Reading, existing, read_standard_input
+from stillcal.daemon.store.files import MAX_BYTES, Reading, existing, piped, read_piped
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.system.files import STANDARD_INPUT, input_name, read_regular
+from stillcal.daemon.system.files import input_name, is_read_once, read_input, read_regular, short_name
 from stillcal.daemon.system.printable import printable
 
 MOST_CHANGES = 40
@@ -51,9 +51,9 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON i
 def store_group() -> None:
     """Show a calibration store, check it, or go back to an earlier calibration.
 
-    PATH is the store's JSON file, such as /var/lib/stillcal/store.json; show, history and export also take
-    '-', standard input. Showing and checking are safe while the daemon runs. Changing needs it stopped;
-    `stillcal query Rollback` rolls back while it runs.
+    PATH is the store's JSON file, such as /var/lib/stillcal/store.json; show, history, verify and export
+    also take '-', standard input, and a pipe. Showing and checking are safe while the daemon runs. Changing
+    needs it stopped; `stillcal query Rollback` rolls back while it runs.
     """
 
 
@@ -146,7 +146,7 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
             record = with_terms(document.current, _findings(diagnosis))
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{input_name(diagnosis)}: {error}") from error
-        store.publish(record, f"terms from {Path(input_name(diagnosis)).name}")
+        store.publish(record, f"terms from {short_name(diagnosis)}")
     click.echo(
         f"{path}: calibration {record.id} now corrects {', '.join(term.effect for term in record.terms)}"
     )
@@ -154,8 +154,7 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
 
 def _findings(path: Path) -> list[dict[str, Any]]:
     """Read the findings of a diagnosis. Raises ValueError where the file is not one."""
-    piped = str(path) == STANDARD_INPUT
-    data = sys.stdin.buffer.read(MAX_BYTES) if piped else read_regular(path, MAX_BYTES)
+    data = read_input(path, MAX_BYTES)
     try:
         return [dict(finding) for finding in json.loads(data.decode("utf-8"))["findings"]]
     except (ValueError, KeyError, TypeError, RecursionError) as error:
@@ -220,18 +219,27 @@ def _approved(path: Path) -> StoreDocument:
 def verify(path: Path, as_json: bool) -> None:
     """Check that a store is intact: JSON, checksum, schema, units and values. Exit code 1 if it is not."""
     with _one_line():
-        found = Store(existing(path)).verify()
+        found, last_good = _both_files(path)
+    whole = found.document is not None
     report = {
-        "whole": found.whole,
-        "store": reading_json(found.store),
-        "last_good": reading_json(found.last_good),
+        "whole": whole,
+        "store": reading_json(found),
+        "last_good": last_good and reading_json(last_good),
     }
     if as_json:
         _print_json(report)
     else:
-        for reading in (found.store, found.last_good):
+        for reading in filter(None, (found, last_good)):
             click.echo(f"{reading.path}: {verdict(reading)}")
-    sys.exit(0 if found.whole else DAMAGED)
+    sys.exit(0 if whole else DAMAGED)
+
+
+def _both_files(path: Path) -> tuple[Reading, Reading | None]:
+    """Read a store and its last good copy, which one from a pipe has not."""
+    if is_read_once(path):
+        return read_piped(path), None
+    found = Store(existing(path)).verify()
+    return found.store, found.last_good
 
 
 @contextmanager
@@ -247,8 +255,8 @@ def _one_line() -> Iterator[None]:
 def _loaded(path: Path) -> StoreDocument:
     """Read a store, warning on standard error where only its last good copy could be used."""
     with _one_line():
-        if str(path) == STANDARD_INPUT:
-            return read_standard_input()
+        if is_read_once(path):
+            return piped(path)
         store = Store(existing(path))
         problem = store.verify().store.problem
         document = store.load()

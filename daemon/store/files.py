@@ -8,8 +8,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stillcal.calib_core.errors import TryAgainError, UserError
@@ -20,7 +20,9 @@ from stillcal.daemon.system.files import (
     STANDARD_INPUT,
     NotRegularError,
     TooLargeError,
+    input_name,
     passing,
+    read_input,
     read_regular,
 )
 
@@ -87,24 +89,28 @@ class Reading:
 def existing(path: Path) -> Path:
     """Return the path of a store to be read or changed. Raises StoreError where nothing is there."""
     if str(path) == STANDARD_INPUT:
-        raise StoreError("a store on standard input can be shown and exported only: give the store's path")
+        raise StoreError("a store on standard input cannot be changed: give the store's path")
     if not path.exists():
         raise StoreError(f"{path}: no such store: give the path of an existing one")
     return path
 
 
-def read_standard_input() -> StoreDocument:
-    """Return the store that standard input holds. Raises StoreError where it holds none."""
-    return piped_store(sys.stdin.buffer.read(MAX_BYTES + 1))
+def piped(path: Path) -> StoreDocument:
+    """Return the store that a pipe or standard input ("-") holds. Raises StoreError where it holds none."""
+    return usable(read_piped(path))
 
 
-def piped_store(data: bytes) -> StoreDocument:
-    """Return the store that was read from standard input. Raises StoreError where it is none."""
-    try:
-        return parse(data)[0]
-    except StoreFormatError as error:
-        why = f"standard input cannot be used as a store ({error})"
-        raise StoreError(f"{why}: give a store that stillcal wrote") from error
+def usable(found: Reading) -> StoreDocument:
+    """Return the store that was read. Raises StoreError where it is none."""
+    if found.document is None:
+        why = f"{found.path} cannot be used as a store ({found.problem})"
+        raise StoreError(f"{why}: give a store that stillcal wrote") from found.problem
+    return found.document
+
+
+def read_piped(path: Path) -> Reading:
+    """Read what a pipe or standard input ("-") holds, as `read` does a file."""
+    return replace(_read(path, read_input), path=Path(input_name(path)))
 
 
 def read(path: Path) -> Reading:
@@ -113,8 +119,12 @@ def read(path: Path) -> Reading:
     Only contents can be damaged. Raises StoreError where the file may not be read, and StoreBusyError where
     the system could not read it now.
     """
+    return _read(path, read_regular)
+
+
+def _read(path: Path, read_bytes: Callable[[Path, int], bytes]) -> Reading:
     try:
-        data = read_regular(path, MAX_BYTES)
+        data = read_bytes(path, MAX_BYTES)
     except FileNotFoundError:
         return Reading(path)
     except NotRegularError as error:
@@ -125,6 +135,11 @@ def read(path: Path) -> Reading:
         return Reading(path, problem=problem, foreign=True)
     except OSError as error:
         raise store_error(error, path, "read") from error
+    return parsed(path, data)
+
+
+def parsed(path: Path, data: bytes) -> Reading:
+    """Return what `data`, the bytes of `path`, hold."""
     try:
         document, schema = parse(data)
     except StoreFormatError as error:

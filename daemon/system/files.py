@@ -9,8 +9,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import stat
-from collections.abc import Iterator
+import sys
+import time
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 WRONG_NAME = frozenset(
@@ -34,6 +37,15 @@ WRONG_NAME = frozenset(
 STANDARD_INPUT, STANDARD_INPUT_NAME = "-", "standard input"
 """What a person writes for it in place of a path, and what messages call it."""
 
+FIRST_WRITER_S = 10.0
+"""s: how long a pipe that nobody has opened for writing is waited for."""
+
+NO_WRITER = ("nobody writes to this pipe", "start its writer, or give a file")
+"""What is said of a pipe that was waited for in vain, and the remedy."""
+
+_PIECE = 1 << 20
+_SYSTEMS_OWN = (Path("/dev"), Path("/proc"))
+
 RESERVE_BYTES = 64 * 2**20
 """Free room that a recording leaves on the disk: the daemon's own files need some."""
 
@@ -48,8 +60,29 @@ def input_name(path: Path | str) -> str:
     return STANDARD_INPUT_NAME if str(path) == STANDARD_INPUT else str(path)
 
 
+def short_name(path: Path | str) -> str:
+    """Return what notes and titles call the input `path`: the name of a file without its folder.
+
+    That of a pipe such as /dev/fd/63 says nothing without it.
+    """
+    name = input_name(path)
+    return name if any(Path(name).is_relative_to(own) for own in _SYSTEMS_OWN) else Path(name).name
+
+
+def is_read_once(path: Path | str) -> bool:
+    """Whether what lies at `path` can be read only once: standard input ("-") or a pipe."""
+    try:
+        return str(path) == STANDARD_INPUT or stat.S_ISFIFO(Path(path).stat().st_mode)
+    except (OSError, ValueError):  # ValueError: a null character in the path
+        return False
+
+
 class NotRegularError(OSError):
     """What lies at the name is no regular file."""
+
+
+class NoWriterError(OSError):
+    """Nobody writes to the pipe at the name."""
 
 
 class TooLargeError(OSError):
@@ -99,6 +132,55 @@ def read_regular(path: Path, limit: int) -> bytes:
     if len(data) > limit:
         raise TooLargeError(errno.EFBIG, f"larger than {limit} bytes", str(path))
     return data
+
+
+def read_input(path: Path | str, limit: int) -> bytes:
+    """Return the contents, `limit` bytes at most, of a regular file, a pipe or standard input ("-").
+
+    Raises NoWriterError, what `read_regular` does, and TooLargeError as soon as a pipe has given more.
+    """
+    if not is_read_once(path):
+        return read_regular(Path(path), limit)
+    if str(path) == STANDARD_INPUT:
+        data = sys.stdin.buffer.read(limit + 1)
+    else:
+        data = bytearray()
+        descriptor = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC"))
+        with naming(path), contextlib.closing(pipe_pieces(descriptor)) as pieces:
+            for piece in pieces:
+                data += piece
+                if len(data) > limit:
+                    break
+    if len(data) > limit:
+        raise TooLargeError(errno.EFBIG, f"larger than {limit} bytes", input_name(path))
+    return bytes(data)
+
+
+def pipe_pieces(descriptor: int) -> Generator[bytes]:
+    """Yield what a pipe gives until its end, and close its descriptor.
+
+    A named pipe without a writer gives an end at once that is none: waits FIRST_WRITER_S for one, then raises
+    NoWriterError.
+    """
+    patience, begun = time.monotonic() + FIRST_WRITER_S, False
+    try:
+        while True:
+            try:
+                piece = os.read(descriptor, _PIECE)
+            except BlockingIOError:  # there is a writer, who has nothing to say yet
+                select.select([descriptor], [], [])
+                continue
+            if piece:
+                begun = True
+                yield piece
+            elif begun or os.get_blocking(descriptor):
+                return
+            elif time.monotonic() > patience:
+                raise NoWriterError(errno.ENXIO, "; ".join(NO_WRITER))
+            else:
+                time.sleep(0.05)
+    finally:
+        os.close(descriptor)
 
 
 def make_folder(path: Path, mode: int) -> None:

@@ -9,7 +9,8 @@ import click
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
-from stillcal.replay.commands.outputs import files, recording_files, refuse_collisions, say
+from stillcal.daemon.system.files import short_name
+from stillcal.replay.commands.outputs import recording_files, refuse_collisions, say
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
 from stillcal.replay.formats.claims import beside, read_claims
 from stillcal.replay.formats.conversion.convert import ENDINGS, writer_for
@@ -45,11 +46,11 @@ def convert_command(trace: Path, out: Path, reading: Reading, quiet: bool) -> No
         raise click.UsageError(f"{out}: choose a name that ends in {', '.join(ENDINGS)}")
     side_files = out != STANDARD_OUTPUT and _has_own_side_files(trace, out, reading)
     written = [out, *([beside(out, ".events.jsonl"), beside(out, ".json")] if side_files else [])]
-    refuse_collisions(written, [*recording_files(trace), *files(reading.gyro)])
+    refuse_collisions(written, [*recording_files(trace), *reading.files])
     opened = reading.open(trace)
     samples = 0
     with (
-        progress(opened.path.name, opened.size_bytes, quiet) as step,
+        progress(short_name(opened.path), opened.size_bytes, quiet) as step,
         writer_for(opened, out, side_files=side_files) as writer,
     ):
         for chunk in opened.chunks():

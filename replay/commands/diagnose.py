@@ -21,7 +21,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import stages
 from stillcal.daemon.store.document import pretty
-from stillcal.daemon.system.files import input_name
+from stillcal.daemon.system.files import input_name, short_name
 from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import (
@@ -272,9 +272,9 @@ def _check(asked: _Asked) -> None:
         )
     if asked.simulated_reading != Reading() and asked.simulated is None:
         raise click.UsageError("--simulated-format, -sensor, -gyro, -from and -to go with --simulated")
-    reads = [*recording_files(asked.trace), *files(asked.reading.gyro)]
+    reads = [*recording_files(asked.trace), *asked.reading.files]
     reads += [] if asked.simulated is None else recording_files(asked.simulated)
-    reads += files(asked.simulated_reading.gyro)
+    reads += asked.simulated_reading.files
     reads += [file for path, _ in asked.witnesses for file in recording_files(path)]
     reads += [] if asked.phone is None else settings_files(asked.phone)
     fixed = None if asked.fix_for is None else asked.fix_for[1]
@@ -308,7 +308,7 @@ class _Outputs(NamedTuple):
 
 def _table(asked: _Asked) -> _Outputs:
     of_rests = diagnose_kept if is_daemon_state(asked.trace) else diagnose_rests
-    return _Outputs(of_rests(asked.reading.rests(asked.trace), Path(input_name(asked.trace)).name))
+    return _Outputs(of_rests(asked.reading.rests(asked.trace), short_name(asked.trace)))
 
 
 def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
@@ -324,7 +324,7 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
         simulated = replace(simulated, covariates=columns)
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
-    name = "" if asked.phone is None else Path(asked.phone).name
+    name = "" if asked.phone is None else short_name(asked.phone)
     request = Request(simulated, phone, name, asked.phone_out is not None, asked.paired, witnesses)
     outcome = diagnose(recording, request, show_stage)
     show_stage("writing", 0.0)
@@ -348,7 +348,7 @@ def _same(one: Recording, other: Recording) -> bool:
 
 def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:
     """Read a recording, of a long one only what is needed unless it is wanted `whole`."""
-    name = path.name if reading.sensor is None else f"{path.name}, sensor {reading.sensor}"
+    name = short_name(path) if reading.sensor is None else f"{short_name(path)}, sensor {reading.sensor}"
     stage = f"reading {name}"
     show_stage(stage, 0.0)
     trace = reading.open(path)
@@ -375,7 +375,7 @@ def _read_simulation(asked: _Asked, path: Path, show_stage: ShowStage, *, whole:
 
 def _witness(path: Path, sensor: str | None, show_stage: ShowStage) -> Recording:
     recording = _read(Reading(sensor=sensor), path, show_stage, whole=True)
-    return recording if sensor is None else replace(recording, name=f"{path.name}, sensor {sensor}")
+    return recording if sensor is None else replace(recording, name=f"{short_name(path)}, sensor {sensor}")
 
 
 def _loaded(name: str) -> Phone:

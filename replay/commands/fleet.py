@@ -21,7 +21,7 @@ from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.store.document import pretty
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.system.files import input_name
+from stillcal.daemon.system.files import input_name, is_read_once, short_name
 from stillcal.replay.commands.outputs import (
     files,
     recording_files,
@@ -98,6 +98,8 @@ def fleet_command(  # noqa: PLR0917 - click hands every option over by name
     or have changed. A recording that cannot be used becomes a row with the reason; the exit code is 0 all the
     same.
     """
+    if is_read_once(format_):
+        raise click.UsageError(f"--format {format_}: each recording is read by it anew: give a file")
     try:
         from stillcal.replay.fleet import discovery, results_folder  # noqa: PLC0415 - an extra
         from stillcal.replay.fleet.worker import Task  # noqa: PLC0415 - an extra
@@ -278,7 +280,7 @@ def first_command(  # noqa: PLR0917 - click hands every option over by name
     from stillcal.replay.fleet.prior_file import few_devices, read_prior  # noqa: PLC0415 - only this command
 
     outputs = [*files(json_path), *([] if store_path is None else store_files(store_path))]
-    refuse_collisions(outputs, [*recording_files(trace), *files(reading.gyro), report_path])
+    refuse_collisions(outputs, [*recording_files(trace), *reading.files, report_path])
     opened = reading.open(trace)
     prior = read_prior(report_path, model, opened.claims.device)
     try:
@@ -290,7 +292,7 @@ def first_command(  # noqa: PLR0917 - click hands every option over by name
     if json_path is not None:
         write_output(json_path, (pretty(calibration) + "\n").encode())
     if store_path is not None:
-        _store(store_path, lambda before: record_of(fit, rests, prior, before), Path(input_name(trace)).name)
+        _store(store_path, lambda before: record_of(fit, rests, prior, before), short_name(trace))
     if warning := few_devices(prior):
         click.echo(f"stillcal: {warning}", err=True)
     if json_path == STANDARD_OUTPUT:

@@ -19,12 +19,12 @@ from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import FORMAT, StoreDocument
-from stillcal.daemon.store.files import MAX_BYTES, StoreError, piped_store
+from stillcal.daemon.store.files import MAX_BYTES, StoreError, parsed, usable
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.system.files import STANDARD_INPUT, input_name
-from stillcal.replay.commands.outputs import refuse_collisions, say, write_output
+from stillcal.daemon.system.files import input_name, is_read_once, short_name
+from stillcal.replay.commands.outputs import files, refuse_collisions, say, write_output
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
-from stillcal.replay.formats.sources import looked_at
+from stillcal.replay.formats.sources import Source, source_of
 from stillcal.replay.formats.trace import Trace
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.plots import style
@@ -76,10 +76,10 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
     if importlib.util.find_spec("matplotlib") is None:
         remedy = "pip install '.[report]' in the source folder, or pip install matplotlib"
         raise click.UsageError(f"matplotlib is not installed: {remedy}")
-    refuse_collisions([out], [source])
+    refuse_collisions([out], [source, *reading.files, *files(config)])
     try:
-        if (document := _store(source)) is not None:
-            material = _stored(document, input_name(source))
+        if (document := _store(source, reading)) is not None:
+            material = _stored(document, source)
         else:
             settings = load_settings(config).engine
             opened = reading.open(source)
@@ -99,12 +99,12 @@ def plot_command(  # noqa: PLR0917 - click hands every option over by name
         say(out, "drawn")
 
 
-def _store(path: Path) -> StoreDocument | None:
-    """Return the store in a file, or on standard input ("-"); None where it does not call itself one."""
-    piped = str(path) == STANDARD_INPUT
-    if not piped and (path.suffix != ".json" or not path.is_file()):
+def _store(path: Path, reading: Reading) -> StoreDocument | None:
+    """Return the store in a file or a pipe; None where it does not call itself one."""
+    if not is_read_once(path) and (path.suffix != ".json" or not path.is_file()):
         return None
-    with looked_at(path).open() as file:
+    kept = reading.kept(path)
+    with (kept if isinstance(kept, Source) else source_of(kept)).open() as file:
         data = file.read(1)
         data += file.read(MAX_BYTES) if data == b"{" else b""
     try:
@@ -113,13 +113,15 @@ def _store(path: Path) -> StoreDocument | None:
         return None
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         return None
-    return piped_store(data) if piped else Store(path).load() or StoreDocument()
+    if isinstance(kept, Source):
+        return usable(parsed(kept.path, data))
+    return Store(path).load() or StoreDocument()
 
 
-def _stored(document: StoreDocument, name: str) -> Material:
+def _stored(document: StoreDocument, path: Path) -> Material:
     if document.current is None:
-        raise StoreError(f"{name}: has no calibration; run stillcal replay or the daemon first")
-    return of_record(document.current, Path(name).name, tuple(_moments(document)))
+        raise StoreError(f"{input_name(path)}: has no calibration; run stillcal replay or the daemon first")
+    return of_record(document.current, short_name(path), tuple(_moments(document)))
 
 
 def _moments(document: StoreDocument) -> list[Moment]:
@@ -136,7 +138,7 @@ def _since(record: CalibrationRecord) -> float | None:
 
 
 def _replayed(opened: Trace, settings: EngineSettings, noise: bool, quiet: bool) -> Material:
-    with progress(opened.path.name, (3 if noise else 1) * opened.size_bytes, quiet) as step:
+    with progress(short_name(opened.path), (3 if noise else 1) * opened.size_bytes, quiet) as step:
         passes, last = 0, 0
 
         def show_progress() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -12,9 +13,13 @@ import click
 
 from stillcal.calib_core.static.rest import RestState
 from stillcal.daemon.cli.options import FiniteRange
+from stillcal.daemon.system.files import is_read_once
+from stillcal.replay.commands.outputs import settings_files
+from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.daemon_state import is_daemon_state, kept_rests
-from stillcal.replay.formats.recognition.opened import is_rest_table
+from stillcal.replay.formats.recognition.opened import is_rest_table, kept
 from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.trace import Trace, open_trace
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -23,29 +28,52 @@ READING = ("format", "sensor", "gyro", "from", "to")
 """The options of `reading_options`, without dashes and prefix."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Reading:
-    """How a recording is read. format: None where its content decides; start, stop: s after its start."""
+    """How a recording is read, and what it gave if it is a pipe, which can be read only once.
+
+    format: None where its content decides; start, stop: s after its start.
+    """
 
     format: str | None = None
     gyro: Path | None = None
     sensor: str | None = None
     start: float | None = None
     stop: float | None = None
+    _kept: dict[Path, Path | Source] = field(default_factory=dict, init=False, compare=False, repr=False)
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that are read besides the recording: the gyroscope's own, and a column map."""
+        gyro = [] if self.gyro is None else [self.gyro]
+        return gyro if self.format is None else [*gyro, *settings_files(self.format)]
+
+    def kept(self, trace: Path) -> Path | Source:
+        """Return what `formats.recognition.opened.kept` does, and for the same path the same bytes again."""
+        if trace not in self._kept:
+            self._kept[trace] = kept(trace)
+        return self._kept[trace]
 
     def open(self, trace: Path) -> Trace:
         """Open a recording of samples. Raises TraceError."""
-        return open_trace(trace, self.format, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop)
+        return open_trace(
+            self.kept(trace), self._map, self.gyro, sensor=self.sensor, start=self.start, stop=self.stop
+        )
+
+    @cached_property
+    def _map(self) -> str | ColumnMap | None:
+        """The format, or the column map that a pipe gave in its place."""
+        return load_map(self.format) if self.format is not None and is_read_once(self.format) else self.format
 
     def is_rest_table(self, trace: Path) -> bool:
         """Whether the file is a rest table, or holds rests as a daemon's state does. Raises TraceError."""
-        return is_daemon_state(trace) or is_rest_table(trace, self.format)
+        return is_daemon_state(trace) or is_rest_table(self.kept(trace), self.format)
 
     def rests(self, trace: Path) -> list[RestState]:
         """Read a rest table. Raises TraceError."""
         if self.sensor is not None or self.start is not None or self.stop is not None:
             raise click.UsageError("--sensor, --from and --to choose samples, which a rest table has not")
-        return kept_rests(trace) if is_daemon_state(trace) else read_rest_table(trace)
+        return kept_rests(trace) if is_daemon_state(trace) else read_rest_table(self.kept(trace))
 
 
 def show_notes(notes: Iterable[str], quiet: bool) -> None:
@@ -65,7 +93,8 @@ def reading_options(what: str = "TRACE", prefix: str = "") -> Callable[[Command]
         click.option(
             f"--{dash}format",
             f"{under}format_",
-            help=f"Format of {what} (docs/formats.md), or a column map (.toml) [default: by its content].",
+            help=f"Format of {what} (docs/formats.md), or a column map (.toml; '-': standard input)"
+            " [default: by its content].",
         ),
         click.option(
             f"--{dash}sensor",

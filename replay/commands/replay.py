@@ -29,7 +29,7 @@ from stillcal.daemon.cli.options import config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import calibration_json, pretty
-from stillcal.daemon.system.files import STANDARD_INPUT, input_name
+from stillcal.daemon.system.files import STANDARD_INPUT, input_name, short_name
 from stillcal.replay.commands.outputs import (
     files,
     new_recording_files,
@@ -103,7 +103,9 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     surface, for some ten seconds each. Only that fixes the rotation common to all axes, and later
     calibrations of the store keep it. Other attitudes may come between; they improve bias and scale.
     """
-    refuse_collisions(_output_files(store_path, json_path), _input_files(trace, reading.gyro))
+    refuse_collisions(
+        _output_files(store_path, json_path), [*recording_files(trace), *reading.files, *files(config)]
+    )
     settings = load_settings(config)
     calibrations: list[Publish | Reject] = []
     watch = "continuous" if faces and watch is None else watch
@@ -115,7 +117,7 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
     calibrations = [*calibrated_by_faces(outcome, settings.engine)] if faces else full(calibrations)
-    name = Path(input_name(trace)).name
+    name = short_name(trace)
     if store_path is not None and calibrations:
         for note in keep_in_store(store_path, calibrations, name, settings.store):
             click.echo(f"stillcal: {note}", err=True)
@@ -160,12 +162,12 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
         raise UserError("standard input cannot be both the recording and the store: give a path for one")
     record = current_in_store(store_path)
     refuse_collisions(
-        new_recording_files(out), [*_input_files(trace, reading.gyro), *store_files(store_path)]
+        new_recording_files(out), [*recording_files(trace), *reading.files, *store_files(store_path)]
     )
     opened, suits = reading.open(trace), Suitability(record)
     means = _rolling_means(opened) if smooth else {}
     with (
-        progress(opened.path.name, opened.size_bytes, quiet) as step,
+        progress(short_name(opened.path), opened.size_bytes, quiet) as step,
         _writer(opened, out, record, means) as write,
     ):
         for chunk in opened.chunks():
@@ -235,10 +237,6 @@ def _print_outcome(outcome: Outcome, name: str, store: Path | None) -> None:
     Console().print(table)
 
 
-def _input_files(trace: Path, gyro: Path | None) -> list[Path]:
-    return [*recording_files(trace), *files(gyro)]
-
-
 def _output_files(store: Path | None, json_path: Path | None) -> list[Path]:
     return [*([] if store is None else store_files(store)), *files(json_path)]
 
@@ -246,7 +244,7 @@ def _output_files(store: Path | None, json_path: Path | None) -> list[Path]:
 def _replayed(
     opened: Trace, engine: Engine, keep: Callable[[Publish | Reject], None], quiet: bool
 ) -> Outcome:
-    with progress(opened.path.name, opened.size_bytes, quiet) as step:
+    with progress(short_name(opened.path), opened.size_bytes, quiet) as step:
         outcome = replay(opened.chunks(), engine, keep, lambda: step(opened.bytes_read))
     show_notes(opened.notes, quiet)
     return outcome

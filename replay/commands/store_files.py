@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,7 @@ from stillcal.calib_core.errors import UserError
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.store.files import existing
 from stillcal.daemon.store.store import Store
-from stillcal.daemon.system.files import STANDARD_INPUT, input_name, read_regular
+from stillcal.daemon.system.files import is_read_once, read_input, short_name
 from stillcal.replay.commands.outputs import (
     called,
     files,
@@ -56,8 +55,8 @@ def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     refuse_collisions([out], reads)
     target = target_named(tool)
     known = None if phone is None else _phone(phone)
-    store = path if str(path) == STANDARD_INPUT else existing(path)
-    made = exported(target, of_record(current_in_store(store), known), _named(path))
+    store = path if is_read_once(path) else existing(path)
+    made = exported(target, of_record(current_in_store(store), known), short_name(path))
     write_output(out, made.data)
     if made.left_out:
         names = ", ".join(made.left_out)
@@ -85,16 +84,16 @@ def import_command(path: Path, tool: str, source: Path) -> None:
     refuse_collisions(store_files(path), files(source))
     target = target_named(tool)
     with _naming(source):
-        parameters = target.read(_bytes_of(source))
+        parameters = target.read(read_input(source, MAX_BYTES))
     with Store(path) as store:
         document = store.load()
         before = None if document is None else document.current
         with _naming(source):
-            record = record_of(parameters, before, f"{_named(source)} ({target.title})")
+            record = record_of(parameters, before, f"{short_name(source)} ({target.title})")
         store.publish(record, record.acceptance.reason)
     for line in not_in_file(parameters, before):
-        click.echo(f"stillcal: {_named(source)}: holds no {line}", err=True)
-    click.echo(f"{path}: calibration {record.id} is current, from {_named(source)}")
+        click.echo(f"stillcal: {short_name(source)}: holds no {line}", err=True)
+    click.echo(f"{path}: calibration {record.id} is current, from {short_name(source)}")
 
 
 @contextmanager
@@ -103,20 +102,7 @@ def _naming(source: Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise UserError(f"{_named(source)}: {error}") from error
-
-
-def _named(source: Path) -> str:
-    return Path(input_name(source)).name
-
-
-def _bytes_of(source: Path) -> bytes:
-    if str(source) != STANDARD_INPUT:
-        return read_regular(source, MAX_BYTES)
-    data = sys.stdin.buffer.read(MAX_BYTES + 1)
-    if len(data) > MAX_BYTES:
-        raise ValueError(f"is larger than {MAX_BYTES} bytes")
-    return data
+        raise UserError(f"{short_name(source)}: {error}") from error
 
 
 def _phone(name: str) -> Phone:

@@ -15,8 +15,20 @@ import msgspec
 
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import (
+    NO_WRITER,
+    NotRegularError,
+    NoWriterError,
+    TooLargeError,
+    input_name,
+    is_read_once,
+    read_input,
+)
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.sources import source_of
+from stillcal.replay.formats.sources import cannot_open
+
+MOST_BYTES = 1 << 24
+"""Longest column map that is read."""
 
 Column = str | Annotated[int, msgspec.Meta(ge=0)]
 """A column by its name in the header, or by its place counted from 0."""
@@ -176,19 +188,27 @@ def builtin_formats() -> list[str]:
 
 
 def load_map(name: str | Path) -> ColumnMap:
-    """Read a column map: a built-in format's name, or the path of a TOML file.
+    """Read a column map: a built-in format's name, or the path of a TOML file ("-": standard input).
 
     Raises TraceError where there is no such format or the map is not valid.
     """
     if str(name) in builtin_formats():
         inside = resources.files("stillcal.config").joinpath("formats", f"{name}.toml")
         return parse_map(inside.read_bytes(), Path(f"{name}.toml"))
-    path = Path(name)
-    if not path.exists():
+    if not is_read_once(name) and not Path(name).exists():
         known = ", ".join(builtin_formats())
         raise TraceError(name, "no such format", f"name one of {known}, or the path of a column map (TOML)")
-    with source_of(path).open() as file:
-        return parse_map(file.read(), path)
+    path = Path(input_name(name))
+    try:
+        return parse_map(read_input(name, MOST_BYTES), path)
+    except NoWriterError:
+        raise TraceError(path, *NO_WRITER) from None
+    except (NotRegularError, TooLargeError) as error:
+        raise TraceError(
+            path, f"is {error.strerror}", "give a column map as docs/formats.md has it"
+        ) from None
+    except OSError as error:
+        raise cannot_open(path, error) from None
 
 
 def parse_map(text: bytes, path: Path) -> ColumnMap:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Event
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import Run, SampleFile
@@ -181,7 +182,7 @@ def _refuse_apart(accelerometer: _Side, gyroscope: _Side) -> None:
     """
     if gyroscope.last < accelerometer.first < np.inf or accelerometer.last < gyroscope.first < np.inf:
         spans, own = gyroscope.span, accelerometer.span
-        apart = "" if gyroscope.path == accelerometer.path else f" in {accelerometer.path.name}"
+        apart = "" if gyroscope.path == accelerometer.path else f" in {short_name(accelerometer.path)}"
         whose = f"those of the accelerometer{apart}"
         what = f"the gyroscope's times, {spans}, do not overlap {whose}, {own}"
         raise TraceError(gyroscope.path, what, "give both sensors of one recording on one clock")

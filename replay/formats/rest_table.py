@@ -9,9 +9,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
-from stillcal.daemon.system.files import input_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap, find_columns
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.table import EMPTY
 from stillcal.replay.formats.tables.text import TextTable
 
@@ -25,16 +25,17 @@ _DECIMALS = 12
 """Most decimals tried in printed numbers: with three digits before the point a float has no more."""
 
 
-def read_rest_table(path: Path | str) -> list[RestState]:
-    """Read a rest table: columns ax ay az, any of t duration n gx gy gz sax say saz temperature.
+def read_rest_table(found: Path | Source) -> list[RestState]:
+    """Read a rest table, a file or a pipe's bytes.
 
+    Columns: ax ay az, and any of t duration n gx gy gz sax say saz temperature.
     A mean's standard uncertainty is s/sqrt(n). Where the table has no s, only the rounding of the
     printed numbers is known of it, step/sqrt(12): the same for all rows and a lower bound, so that
     rows weigh alike and the residuals have to tell the rest. Rows without t are numbered 0, 1, 2, ...
     in its place. Raises TraceError.
     """
-    columns = _columns(Path(path))
-    path = input_name(path)
+    columns = _columns(found)
+    path = found.path if isinstance(found, Source) else found
     force = _axes(columns, ("ax", "ay", "az"))
     if force is None:
         missing = next(name for name in ("ax", "ay", "az") if name not in columns)
@@ -79,9 +80,9 @@ def _along(force: Array, sd: Array) -> float:
     return float(np.linalg.norm(sd * force)) / norm if norm else float(np.linalg.norm(sd))
 
 
-def _columns(path: Path) -> dict[str, Array]:
+def _columns(found: Path | Source) -> dict[str, Array]:
     """Return the table's known columns by name, each (n,). Raises TraceError on what is not finite."""
-    table = TextTable(path, _LAYOUT)
+    table = TextTable(found, _LAYOUT)
     path = table.path
     names = [c for c in ("ax", "ay", "az", *_OPTIONAL) if find_columns([c], table.names, table.width)]
     if not names:

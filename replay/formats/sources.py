@@ -8,21 +8,27 @@ from __future__ import annotations
 
 import io
 import os
-import select
 import shutil
 import stat
 import sys
 import tempfile
-import time
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from stillcal.daemon.system.files import STANDARD_INPUT, STANDARD_INPUT_NAME, flags
+from stillcal.daemon.system.files import (
+    NO_WRITER,
+    STANDARD_INPUT,
+    STANDARD_INPUT_NAME,
+    NoWriterError,
+    flags,
+    pipe_pieces,
+)
 from stillcal.replay.formats.errors import TraceError
 
 HEAD_BYTES = 1 << 16
@@ -34,9 +40,6 @@ MOST_SPOOLED = 8 << 30
 MOST_PACKED, _SMALL = 100, 1 << 26
 """Bytes that one byte of an archive may unpack to, and how many may come besides. Readings of a sensor have
 noise, and pack ten times at most; gzip packs zeros a thousand times."""
-
-FIRST_WRITER_S = 10.0
-"""s: how long a pipe that nobody has opened for writing is waited for."""
 
 GZIP = b"\x1f\x8b"
 _GZIP_WINDOW = 31
@@ -104,22 +107,6 @@ def source_of(path: Path | str, check: Check = Source.head) -> Source:
     check: is called on the beginning of what a pipe gives, before the rest is waited for. Raises TraceError
     where there is no such file, or it is a folder, a device, a socket or one of the kernel's own files.
     """
-    return _looked_at.pop(str(path), None) or _opened(path, check)
-
-
-def looked_at(path: Path | str, check: Check = Source.head) -> Source:
-    """Return the bytes at `path` as `source_of` does, which gives those of a pipe once more after this."""
-    found = source_of(path, check)
-    if found.said:
-        _looked_at[str(path)] = found
-    return found
-
-
-_looked_at: dict[str, Source] = {}
-"""What pipes gave, by their names, until it is asked for: a pipe can be read once."""
-
-
-def _opened(path: Path | str, check: Check) -> Source:
     if str(path) == STANDARD_INPUT:
         return _standard_input(check)
     path = Path(path)
@@ -133,9 +120,10 @@ def _opened(path: Path | str, check: Check) -> Source:
         raise TraceError(path, "is a folder", "name a file in it")
     if stat.S_ISFIFO(info.st_mode):
         try:
-            return _spooled(path, os.open(path, os.O_RDONLY | os.O_NONBLOCK), check)
+            descriptor = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC"))
         except OSError as error:
             raise cannot_open(path, error) from None
+        return _spooled(path, descriptor, check)
     _refuse_special(path, info.st_mode)
     if info.st_size == 0:
         _refuse_unsized(path)
@@ -184,22 +172,23 @@ def _spooled(path: Path, descriptor: int, check: Check) -> Source:
     copy = tempfile.NamedTemporaryFile(prefix="stillcal-")  # noqa: SIM115 - lives as long as the source
     size, room, head = 0, _room(), b""
     try:
-        while piece := _next_piece(path, descriptor, wait=size == 0):
-            size += len(piece)
-            if len(head) < _CHECKED:
-                head += piece
-                if len(head) >= _CHECKED:
-                    check(Source(path, len(head), partial(io.BytesIO, head)))
-            if size > room:
-                what = f"gives more than {room / (1 << 30):.2g} GiB"
-                raise TraceError(path, what, "save it as a file first")
-            copy.write(piece)
+        with closing(pipe_pieces(descriptor)) as pieces:
+            for piece in pieces:
+                size += len(piece)
+                if len(head) < _CHECKED:
+                    head += piece
+                    if len(head) >= _CHECKED:
+                        check(Source(path, len(head), partial(io.BytesIO, head)))
+                if size > room:
+                    what = f"gives more than {room / (1 << 30):.2g} GiB"
+                    raise TraceError(path, what, "save it as a file first")
+                copy.write(piece)
         copy.flush()
+    except NoWriterError:
+        raise TraceError(path, *NO_WRITER) from None
     except OSError as error:
         what = f"cannot be copied to {tempfile.gettempdir()} ({error.strerror or error})"
         raise TraceError(path, what, "make room there, or save the recording as a file first") from None
-    finally:
-        os.close(descriptor)
     stored = Path(copy.name)
     said = f"copied into a temporary file first ({size / 1e6:.3g} MB)"
     return Source(path, size, lambda: stored.open("rb"), stored, copy, said)
@@ -208,25 +197,6 @@ def _spooled(path: Path, descriptor: int, check: Check) -> Source:
 def _room() -> int:
     """Return how many bytes a temporary file may take: half of what is free, and MOST_SPOOLED at most."""
     return min(MOST_SPOOLED, shutil.disk_usage(tempfile.gettempdir()).free // 2)
-
-
-def _next_piece(path: Path, descriptor: int, *, wait: bool) -> bytes:
-    """Return what comes next from a pipe, b"" at its end.
-
-    wait: nothing has come yet; a named pipe without a writer then gives an end at once that is none.
-    """
-    patience = time.monotonic() + FIRST_WRITER_S
-    while True:
-        try:
-            piece = os.read(descriptor, _PIECE)
-        except BlockingIOError:  # there is a writer, who has nothing to say yet
-            select.select([descriptor], [], [])
-            continue
-        if piece or not wait or os.get_blocking(descriptor):
-            return piece
-        if time.monotonic() > patience:
-            raise TraceError(path, "nobody writes to this pipe", "start its writer, or give a file")
-        time.sleep(0.05)
 
 
 def unpacked(file: BinaryIO) -> BinaryIO:

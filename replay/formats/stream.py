@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.streams.limits import STAMP_S, usable
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap, TimeMap
@@ -126,7 +127,7 @@ class SampleFile:
             lines.append(
                 f"the sensor's clock advanced {own:.6g} s while arrival times advanced {arrival:.6g} s"
             )
-        return [f"{self.path.name}: {line}" for line in [*lines, *self._clock.notes()]]
+        return [f"{short_name(self.path)}: {line}" for line in [*lines, *self._clock.notes()]]
 
     def runs(self) -> Iterator[Run]:
         """Yield the file's samples in time order. Raises TraceError at the first row that cannot be used."""

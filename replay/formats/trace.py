@@ -15,14 +15,15 @@ import numpy as np
 from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.daemon.system.files import STANDARD_INPUT
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import Cut, Spans, cut, merged
 from stillcal.replay.formats.recognition.log import Log
-from stillcal.replay.formats.recognition.opened import open_log
+from stillcal.replay.formats.recognition.opened import Format, open_log
+from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.notebook import html_table
 
@@ -207,7 +208,7 @@ class Trace:
             what = f"{where} {'one' if total else 'no'} accelerometer sample"
             raise TraceError(self.path, what, "give a recording of some minutes")
         units.finish()
-        self._alone = [f"{self.path.name}: {line}" for line in spans.said()]
+        self._alone = [f"{short_name(self.path)}: {line}" for line in spans.said()]
         late = () if self._cut.stop is not None else tuple(events)
         yield Chunk(last.accelerometer, last.gyroscope, last.events + late)
 
@@ -235,23 +236,24 @@ class Trace:
 
     def name_of(self, asked: Path | str) -> str:
         """Return what the recording is called in results: as its file, or as the sample asked for."""
-        return self.path.name if str(asked) == STANDARD_INPUT else Path(asked).name
+        return short_name(asked)
 
 
 def open_trace(
-    path: Path | str,
-    format: str | Path | None = None,
+    path: Path | str | Source,
+    format: Format = None,
     gyro: Path | str | None = None,
     *,
     sensor: str | None = None,
     start: float | None = None,
     stop: float | None = None,
 ) -> Trace:
-    """Open a recording. path: a file or folder, "sample:NAME" for one that comes with the package, or "-".
+    """Open a recording.
 
-    format: a known name or a column map's path; None: recognised by content. gyro: the gyroscope's own file.
-    sensor: which one of a log with several; None: the first. start, stop: only what lies between, s after the
-    first sample.
+    path: a file or folder, "sample:NAME" for one that comes with the package, "-", or a pipe's bytes.
+    format: a known name, a column map or the path of one; None: recognised by content. gyro: the gyroscope's
+    own file. sensor: which one of a log with several; None: the first. start, stop: only what lies between, s
+    after the first sample.
 
     Raises TraceError where a file, a column, the format or the sensor is missing.
     """

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 import tomllib
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import msgspec
 
-from stillcal.daemon.system.files import STANDARD_INPUT, STANDARD_INPUT_NAME, NotRegularError, read_regular
+from stillcal.daemon.system.files import NotRegularError, input_name, is_read_once, read_input
 from stillcal.replay.phone.activities.carried import Drive, Hand, Pocket, Stairs, Walk
 from stillcal.replay.phone.activities.resting import Desk, Mattress, Place, Poses, Rest, Table, Washer
 from stillcal.replay.phone.settings import Settings, require
@@ -46,29 +45,22 @@ class Scenario(Settings, frozen=True, kw_only=True, rename={"segments": "segment
 
 
 def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
-    """Read a settings file by path, by name from the package's own `folder`, or from standard input ("-").
+    """Read a settings file by path ("-": standard input), or by name from the package's own `folder`.
 
     Raises ValueError naming the file and the field where it is not found or does not fit.
     """
     path = Path(name)
-    source: Any = path
-    if str(name) == STANDARD_INPUT:
-        source = STANDARD_INPUT_NAME
-    elif path.suffix != ".toml":
-        source = files("stillcal.config") / folder / f"{name}.toml"
+    given = path.suffix == ".toml" or is_read_once(name)
+    shipped = files("stillcal.config") / folder
+    source = input_name(name) if given else shipped / f"{name}.toml"
     try:
-        if source == STANDARD_INPUT_NAME:
-            text = sys.stdin.buffer.read(MOST_BYTES)
-        else:
-            text = read_regular(path, MOST_BYTES) if source is path else source.read_bytes()
+        text = read_input(path, MOST_BYTES) if given else (shipped / f"{name}.toml").read_bytes()
         table = tomllib.loads(text.decode())
         return msgspec.convert(table, type=kind)
     except FileNotFoundError as error:
         if path.exists():
             raise ValueError(f"{name}: settings are TOML; give a file whose name ends in .toml") from error
-        known = sorted(
-            p.name[:-5] for p in (files("stillcal.config") / folder).iterdir() if p.name.endswith(".toml")
-        )
+        known = sorted(p.name[:-5] for p in shipped.iterdir() if p.name.endswith(".toml"))
         raise ValueError(f"{name}: no such file, and not one of {', '.join(known)}") from error
     except NotRegularError as error:
         raise ValueError(f"{source}: is no regular file; give TOML as docs/phone.md has it") from error

@@ -18,6 +18,7 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState, directions
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.trace import Trace
 from stillcal.replay.runner import replay
 
@@ -121,7 +122,7 @@ def of_trace(trace: Trace, engine: Engine, progress: Callable[[], None], noise: 
         Moment("accepted" if isinstance(k, Publish) else "rejected", k.t, k.record) for k in calibrations
     )
     record, state = outcome.record, outcome.state
-    name = trace.path.name
+    name = short_name(trace.path)
     if record is not None and record.accelerometer is not None and record.states:
         drawn = of_record(record, name, history)
         rests = drawn.rests

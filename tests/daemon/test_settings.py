@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import re
 import tomllib
 from functools import reduce
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 
 import stillcal.config
 from stillcal.calib_core.codec import plain
+from stillcal.daemon.app_launch import LaunchOptions
 from stillcal.daemon.settings import (
     FIXED,
     Settings,
@@ -171,6 +174,15 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path, make, message):
     make(tmp_path / "c.toml")
     with pytest.raises(SettingsError, match=rf"c\.toml: {message}"):
         load_settings(tmp_path / "c.toml")
+
+
+def test_settings_from_standard_input_hold_until_the_daemon_ends(monkeypatch):
+    """At SIGHUP they cannot be read again: an empty input had been taken for all defaults."""
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(b'[source]\nport = "tty"\n')))
+    given = LaunchOptions(Path("-"))
+    assert given.settings().source.port == "tty"
+    with pytest.raises(SettingsError, match="standard input can be read only once"):
+        given.settings_again()
 
 
 def test_the_line_is_that_of_the_key_in_its_own_table():

@@ -18,6 +18,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
@@ -106,7 +107,7 @@ def open_arrays(source: Source, kind: str, column_map: ColumnMap | None = None) 
         what = f"the {kind} file is damaged ({type(error).__name__}: {' '.join(str(error).split())[:120]})"
         raise TraceError(source.path, what, "write it again") from None
     sensors = _sensors(source, stored.size, groups, column_map)
-    notes = [f"{source.path.name}: {line}" for line in extra]
+    notes = [f"{short_name(source.path)}: {line}" for line in extra]
     return Log(source.path, kind if kind != magic.ZIP else "NPZ", sensors, notes, source.local)
 
 
@@ -192,7 +193,7 @@ def _uneven(path: Path, arrays: _Arrays) -> list[str]:
         raise TraceError(path, f"{what} with times of their own are not read together", remedy)
     short = [name for name, rows in arrays.uneven.items() if rows < arrays.length]
     left = f"; left out: {', '.join(short)}" if short else ""
-    return [f"{path.name}: {what}: the first {arrays.length} rows are read{left}"]
+    return [f"{short_name(path)}: {what}: the first {arrays.length} rows are read{left}"]
 
 
 def mapped(table: Table, column_map: ColumnMap, group: str = "") -> list[LoggedSensor]:

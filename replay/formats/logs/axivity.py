@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
@@ -104,7 +105,7 @@ def open_axivity(source: Source) -> Log:
     about = f"{'AX6' if six else 'AX3'}, {index.rate_hz:g} Hz"
     sensor = LoggedSensor.of("imu", [Part(table, column_map, sensors)], about)
     lines = [*_cut_short(stored.size), *_damage(blocks, damaged), *_exchange(exchanged)]
-    notes = [f"{source.path.name}: {line}" for line in lines]
+    notes = [f"{short_name(source.path)}: {line}" for line in lines]
     return Log(source.path, "Axivity CWA", [sensor], notes, source.local, _claims(first))
 
 

@@ -19,6 +19,7 @@ import msgspec
 
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
@@ -53,7 +54,7 @@ def open_betaflight(source: Source, base: ColumnMap) -> Log:
         notes.append("accSmooth has two decimals; blackbox_decode --save-headers keeps its counts")
     sensors = [Sensor.ACCELEROMETER] + ([] if rates is None else [Sensor.GYROSCOPE])
     logged = LoggedSensor.of("imu", [Part(table, column_map, sensors)], " and ".join(sensors))
-    said = [f"{source.path.name}: {note}" for note in notes]
+    said = [f"{short_name(source.path)}: {note}" for note in notes]
     return Log(source.path, "Betaflight CSV", [logged], said, source.local)
 
 

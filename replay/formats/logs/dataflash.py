@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.limits import READING
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import BOTH, Log, LoggedSensor, Part
@@ -80,9 +81,9 @@ def open_dataflash(source: Source) -> Log:
         there = ", ".join(sorted(t.name for t in scan.types.values() if t.name)[:20])
         what = f"no IMU messages were logged; the log knows {there or 'nothing'}"
         raise TraceError(source.path, what, "set LOG_BITMASK so that IMU is logged")
-    notes = [f"{source.path.name}: {line}" for line in corrections(scan.parameters)]
+    notes = [f"{short_name(source.path)}: {line}" for line in corrections(scan.parameters)]
     if scan.damaged:
-        notes.append(f"{source.path.name}: {scan.damaged} bytes are damaged and were skipped")
+        notes.append(f"{short_name(source.path)}: {scan.damaged} bytes are damaged and were skipped")
     return Log(source.path, "ArduPilot DataFlash", sensors, notes, source.local)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
@@ -89,7 +90,7 @@ def open_gnss_logger(source: Source) -> Log:
                 parts.append(
                     Part(NumberTable(source.path, _NAMES, rows, source.size), _map(sensor), [sensor])
                 )
-                notes += [f"{source.path.name}: {line}" for line in _bias(sensor, first[0])]
+                notes += [f"{short_name(source.path)}: {line}" for line in _bias(sensor, first[0])]
         if parts and parts[0].sensors == [Sensor.ACCELEROMETER]:
             sensors.append(LoggedSensor.of(name, parts, ", ".join(kinds[: len(parts)])))
     if not sensors:

@@ -23,6 +23,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
@@ -288,7 +289,7 @@ class _Bag:
         if not sensors:
             what = f"the Imu topics {', '.join(t.name for t in topics) or 'of it'} hold no acceleration"
             raise TraceError(self._path, what, "record the topic of the accelerometer")
-        cut = f"{self._path.name}: its writer did not complete it; read up to where it breaks off"
+        cut = f"{short_name(self._path)}: its writer did not complete it; read up to where it breaks off"
         notes = [cut] if self._container.unfinished else []
         return Log(self._path, self._kind, sensors, notes, beside=self._beside)
 
@@ -379,15 +380,17 @@ class _Bag:
             parts = [replace(part, column_map=_with_rates_in(part.column_map, unit)) for part in parts]
         about = f"{topics[0].rate_hz:.3g} Hz" + (f", with {topics[1].name}" if len(topics) > 1 else "")
         notes = [
-            f"{self._path.name}: {t.name} has no stamps of its own; the times of logging are used"
+            f"{short_name(self._path)}: {t.name} has no stamps of its own; the times of logging are used"
             for t in topics
             if not t.stamped
         ]
         if topics[0].in_g:
-            notes.append(f"{self._path.name}: {topics[0].name} is in g, by the size of gravity, not in m/s^2")
+            notes.append(
+                f"{short_name(self._path)}: {topics[0].name} is in g, by the size of gravity, not in m/s^2"
+            )
         if unit not in (None, "rad/s"):
             said = f"rates of {topics[-1].name} are read in {unit} ({shown}), not in rad/s"
-            notes.append(f"{self._path.name}: {said}; mend the driver that published them")
+            notes.append(f"{short_name(self._path)}: {said}; mend the driver that published them")
         return LoggedSensor.of(topics[0].name, parts, about, notes)
 
     def _table(self, topic: _Topic) -> NumberTable:

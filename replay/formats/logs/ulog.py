@@ -17,6 +17,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TemperatureMap, TimeMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
@@ -99,7 +100,7 @@ def open_ulog(source: Source) -> Log:
     if not sensors:
         what = f"none of {', '.join(_TOPICS)} was logged"
         raise TraceError(source.path, what, "log sensor_accel and sensor_gyro (SDLOG_PROFILE, raw sensors)")
-    notes = [f"{source.path.name}: {line}" for line in _notes(ulog, cut=cut)]
+    notes = [f"{short_name(source.path)}: {line}" for line in _notes(ulog, cut=cut)]
     return Log(source.path, "PX4 ULog", [sensor for _, sensor in sensors], notes, source.local)
 
 
@@ -267,4 +268,4 @@ def _corrections(path: Path, parameters: Mapping[str, Any], instance: int) -> li
     said += [f"temperature ({' '.join(hot)})"] if hot else []
     if not said:
         return []
-    return [f"{path.name}: PX4 has corrected these values already: {', '.join(said)}"]
+    return [f"{short_name(path)}: PX4 has corrected these values already: {', '.join(said)}"]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.errors import TraceError
@@ -85,7 +86,9 @@ class Log:
         there = ", ".join(f"{s.name} ({s.about})" if s.about else s.name for s in self.sensors)
         if name is None:
             first = self.sensors[0]
-            several = f"{self.path.name}: has {len(self.sensors)} sensors: {there}; reading {first.name}"
+            several = (
+                f"{short_name(self.path)}: has {len(self.sensors)} sensors: {there}; reading {first.name}"
+            )
             return first, [f"{several} (--sensor chooses another)"] if len(self.sensors) > 1 else []
         for sensor in self.sensors:
             if sensor.name == name:

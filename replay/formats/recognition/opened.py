@@ -7,9 +7,10 @@ from copy import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.daemon.system.files import STANDARD_INPUT
+from stillcal.daemon.system.files import input_name, is_read_once, short_name
 from stillcal.replay.formats.claims import Claims, written_by_stillcal
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
@@ -48,7 +49,7 @@ from stillcal.replay.formats.recognition.text_formats import (
     text_format,
 )
 from stillcal.replay.formats.shipped import located
-from stillcal.replay.formats.sources import Source, looked_at, source_of
+from stillcal.replay.formats.sources import Source, source_of
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.echoed import Echoed
 from stillcal.replay.formats.tables.json_table import JsonTable
@@ -60,6 +61,9 @@ from stillcal.replay.formats.tables.text import NoRowsError, TextTable, has_rows
 AUTO = "auto"
 """The format of a recording whose content is to decide, as None is."""
 
+Format: TypeAlias = str | Path | ColumnMap | None
+"""A format's name or a column map's path, a column map, or None: recognised by content."""
+
 Reader = Callable[[Source, ColumnMap | None, Source | None], Log]
 """Opens a recording by a given column map, or by what is in it; the last argument is the gyroscope's file."""
 
@@ -68,32 +72,41 @@ class RestTableGivenError(TraceError):
     """A rest table was given where samples are needed."""
 
 
-def open_log(path: Path | str, format: str | Path | None = None, gyro: Path | None = None) -> Log:
+def kept(path: Path | str) -> Path | Source:
+    """Return where a recording can be read more than once: a pipe's bytes, read to their end, else its path.
+
+    Raises TraceError where there is no such sample, or the pipe gives nothing that is read.
+    """
+    return source_of(path, magic.kind_of) if is_read_once(path) else located(path)
+
+
+def open_log(path: Path | str | Source, format: Format = None, gyro: Path | None = None) -> Log:
     """Recognise a recording; format: as `open_trace` takes it. Raises TraceError."""
-    format = None if str(format) == AUTO else format
     if str(format) == REST:
-        raise RestTableGivenError(path, "a rest table holds no samples", "give a recording of samples")
-    column_map = None if format is None else load_map(format)
-    found = located(path)
-    if str(path) != STANDARD_INPUT and found.is_dir():
+        where = path.path if isinstance(path, Source) else input_name(path)
+        raise RestTableGivenError(where, "a rest table holds no samples", "give a recording of samples")
+    format = None if str(format) == AUTO else format
+    found = path if isinstance(path, Source) else kept(path)
+    column_map = format if format is None or isinstance(format, ColumnMap) else load_map(format)
+    if isinstance(found, Path) and found.is_dir():
         if (found / FOLDER_INDEX).is_file():
             return open_ros_folder(found)
         log = sample_folder(found) if column_map is None else None
         return log or _archive(found, members_of_folder(found), column_map)
-    source = source_of(str(path) if str(path) == STANDARD_INPUT else found, magic.kind_of)
+    source = found if isinstance(found, Source) else source_of(found)
     log = _log(source, column_map, None if gyro is None else source_of(gyro))
-    return replace(log, notes=[f"{source.path.name}: {source.said}", *log.notes]) if source.said else log
+    return (
+        replace(log, notes=[f"{short_name(source.path)}: {source.said}", *log.notes]) if source.said else log
+    )
 
 
-def is_rest_table(path: Path | str, format: str | Path | None = None) -> bool:
-    """Whether a file is a rest table: so named, or recognised as one. Raises TraceError."""
-    format = None if str(format) == AUTO else format
-    if format is not None:
+def is_rest_table(found: Path | Source, format: Format = None) -> bool:
+    """Whether a file or a pipe's bytes are a rest table: so named, or recognised. Raises TraceError."""
+    if format is not None and str(format) != AUTO:
         return str(format) == REST
-    found = located(path)
-    if str(path) != STANDARD_INPUT and not found.is_file() and not found.is_fifo():
+    if isinstance(found, Path) and not found.is_file():
         return False
-    source = looked_at(found, magic.kind_of)
+    source = found if isinstance(found, Source) else source_of(found)
     return magic.kind_of(source) == magic.TEXT and text_format(source).name == REST
 
 
@@ -148,8 +161,8 @@ def _archive(path: Path, members: dict[str, Source], column_map: ColumnMap | Non
             used |= alone.keys()
         others = [member for member in members if member not in used]
         name = " with ".join([name, *sorted(used - {name})])
-        log = replace(log, notes=[*(f"{path.name}: {line}" for line in empty), *log.notes])
-        said = [f"{path.name}: {name} is read; passed over: {_first_of(others)}"] if others else []
+        log = replace(log, notes=[*(f"{short_name(path)}: {line}" for line in empty), *log.notes])
+        said = [f"{short_name(path)}: {name} is read; passed over: {_first_of(others)}"] if others else []
         return replace(log, notes=[*said, *log.notes])
     if not found and len(alone) == 1:
         raise GyroscopeAloneError(path / next(iter(alone)))
@@ -212,7 +225,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
     if form.name == "csv":
         refuse_devices_in_turn(TextTable(source, form.column_map))
     said = f" ({form.said})" if form.said else ""
-    notes = [] if form.name == "csv" else [f"{source.path.name}: read as {form.name}{said}"]
+    notes = [] if form.name == "csv" else [f"{short_name(source.path)}: read as {form.name}{said}"]
     return _mapped(source, form, gyro, notes)
 
 
@@ -319,7 +332,8 @@ def _by_gravity(source: Source, own: OneSensor, rates: OneSensor | None) -> list
     table.names = named_after(own.table.names or [], "accelerometer", _container(source))
     if table.names is None or not measures_gravity(table, find_axes(table.names)[0]):
         return []
-    said = f"{source.path.name}: x, y, z are an accelerometer's by the size of gravity; nothing names them"
+    name = short_name(source.path)
+    said = f"{name}: x, y, z are an accelerometer's by the size of gravity; nothing names them"
     found = settled(table, own.column_map, own.rate_hz, rates)
     return [replace(sensor, notes=(said, *sensor.notes)) for sensor in found]
 
@@ -374,7 +388,7 @@ def _rates_of(source: Source, gyro: Source | None) -> tuple[OneSensor | None, li
     except NoRowsError:
         if gyro is not None:
             raise
-        return None, [f"{given.path.name}: holds a header and no samples; read without a gyroscope"]
+        return None, [f"{short_name(given.path)}: holds a header and no samples; read without a gyroscope"]
     if gyro is not None:
         rates.table.names = named_after(rates.table.names or [], "gyroscope", "") or rates.table.names
     return (rates if gyro is not None or rates_alone(rates.table.names or []) else None), []
@@ -390,12 +404,12 @@ def _mapped(source: Source, form: TextFormat, gyro: Source | None, notes: list[s
     beside = other_file(path, rules) if source.local == path and gyro is None else None
     other = gyro or (None if beside is None else source_of(beside))
     if other is not None and gyro is None and not has_rows(other):
-        notes = [*notes, f"{other.path.name}: holds a header and no samples; read without a gyroscope"]
+        notes = [*notes, f"{short_name(other.path)}: holds a header and no samples; read without a gyroscope"]
         other, rules = None, ()
     if gyro is None and other is None:
         _refuse_gyroscope_file(source, rules)
     if gyro is None and rules and other is None:
-        notes = [*notes, f"{path.name}: no gyroscope file beside it (name it with --gyro)"]
+        notes = [*notes, f"{short_name(path)}: no gyroscope file beside it (name it with --gyro)"]
 
     def files(claims: Claims) -> list[SampleFile]:
         sensors = both if gyro is None and not rules else [Sensor.ACCELEROMETER]

@@ -19,6 +19,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.errors import TraceError
@@ -148,7 +149,7 @@ def _without_gravity(source: Source, called: str) -> TraceError:
 def _phyphox(path: Path, tables: dict[str, Source], name: str, column_map: ColumnMap) -> Log:
     alone = msgspec.structs.replace(column_map, repeats="keep")
     parts = [Part(TextTable(tables[name], alone), alone, [Sensor.ACCELEROMETER])]
-    notes = [f"{path.name}: {line}" for line in _without_samples(tables)]
+    notes = [f"{short_name(path)}: {line}" for line in _without_samples(tables)]
     if "Gyroscope.csv" in tables:
         parts.append(Part(TextTable(tables["Gyroscope.csv"], alone), alone, [Sensor.GYROSCOPE]))
     elif column_map.gyroscope is not None:
@@ -189,7 +190,11 @@ def _phyphox_claims(device: Source | None) -> Claims:
 
 def _sensor_logger(path: Path, tables: dict[str, Source]) -> Log | None:
     forms: dict[str, TextFormat] = {}
-    empty = [f"{path.name}: {line}" for line in _without_samples(tables)] if _is_sensor_logger(tables) else []
+    empty = (
+        [f"{short_name(path)}: {line}" for line in _without_samples(tables)]
+        if _is_sensor_logger(tables)
+        else []
+    )
     for stem in (*_UNCALIBRATED, *_CALIBRATED, "Accelerometer"):
         if f"{stem}.csv" in tables:
             form = text_format(tables[f"{stem}.csv"])
@@ -254,7 +259,7 @@ def _system_bias(
     unit = "rad/s" if sensor is Sensor.GYROSCOPE else "m/s^2"
     values = " ".join(f"{b:.5g}" for b in bias)
     whence = f"{raw} minus {corrected}; raw values are read"
-    yield f"{path.name}: the phone's own {sensor} bias is {values} {unit} ({whence})"
+    yield f"{short_name(path)}: the phone's own {sensor} bias is {values} {unit} ({whence})"
 
 
 def _first_samples(part: Part) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, LoggedSensor
@@ -77,7 +78,9 @@ def sensors_of_rows(
     ]
     read = [called[text] for text in of_sensors]
     others = sorted({word.strip() for word in called.values()} - {word.strip() for word in read})
-    said = f"{table.path.name}: a row for each sensor, by {table.column_name(place)}: {', '.join(read)}"
+    said = (
+        f"{short_name(table.path)}: a row for each sensor, by {table.column_name(place)}: {', '.join(read)}"
+    )
     said += f"; passed over: {', '.join(others)}" if others else ""
     return [replace(sensor, notes=(said, *sensor.notes)) for sensor in settled_apart(apart)]
 

@@ -21,6 +21,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.checks.axes import turnings
 from stillcal.replay.formats.checks.units import shown_unit
 from stillcal.replay.formats.claims import Claims
@@ -256,7 +257,7 @@ def _sensor(
         said.append(f"temperature {thermometer[0]} in {thermometer[1]}")
     column_map = msgspec.structs.replace(base, **chosen)
     how = "counted from 0" if table.names is None else "recognised by their names"
-    note = f"{table.path.name}: columns {how}: {'; '.join(said)}"
+    note = f"{short_name(table.path)}: columns {how}: {'; '.join(said)}"
     sensors = [Sensor.ACCELEROMETER] + ([] if gyroscope is None else [Sensor.GYROSCOPE])
     parts, notes = [Part(table, column_map, sensors)], [note]
     if gyroscope is None and rates is not None:
@@ -283,7 +284,7 @@ def _rates_apart(rates: OneSensor, force: Part, force_unit: str, candidate: _Can
     part = Part(table, column_map, [Sensor.GYROSCOPE])
     unit, unit_said = _rate_unit([force, part], axes, force_unit)
     column_map = msgspec.structs.replace(column_map, gyroscope=SensorMap(columns=axes.columns, unit=unit))
-    said = f"{table.path.name}: {time_said}; gyroscope {_listed(axes)} in {unit}{unit_said}"
+    said = f"{short_name(table.path)}: {time_said}; gyroscope {_listed(axes)} in {unit}{unit_said}"
     return Part(table, column_map, [Sensor.GYROSCOPE]), said
 
 

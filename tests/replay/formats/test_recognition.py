@@ -20,6 +20,7 @@ import numpy as np
 import pytest
 
 import stillcal
+from stillcal.daemon.system import files
 from stillcal.replay.formats import sources
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition import magic
@@ -410,7 +411,7 @@ def test_a_named_pipe_is_read_though_its_writer_comes_late(tmp_path: Path) -> No
 
 def test_a_pipe_without_writer_ends_in_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     os.mkfifo(tmp_path / "pipe")
-    monkeypatch.setattr(sources, "FIRST_WRITER_S", 0.1)
+    monkeypatch.setattr(files, "FIRST_WRITER_S", 0.1)
     with pytest.raises(TraceError, match="nobody writes to this pipe"):
         read_all(tmp_path / "pipe")
 

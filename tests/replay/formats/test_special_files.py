@@ -5,12 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from stillcal.daemon.settings import load_settings
+from stillcal.daemon.system import files
+from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.opened import kept
 from stillcal.replay.formats.trace import read_all
+from stillcal.replay.phone import load_phone, load_scenario
 from tests.support.log_files import rows, text
 
 COMMAND = "from stillcal.daemon.cli.entry import main; main()"
@@ -68,10 +74,14 @@ def test_a_pipe_beside_a_recording_is_refused(ending: str, recording: Path, tmp_
     assert refused(ran("convert", recording, "--out", tmp_path / "out.csv"), "is no regular file")
 
 
-def test_a_phone_file_that_is_a_pipe_is_refused(tmp_path: Path) -> None:
-    os.mkfifo(tmp_path / "phone.toml")
-    command = ("simulate", "lab", "--phone", tmp_path / "phone.toml", "--out", tmp_path / "out.csv")
-    assert refused(ran(*command), "is no regular file")
+@pytest.mark.parametrize("read", [load_phone, load_scenario, load_map, load_settings, kept])
+def test_what_may_come_through_a_pipe_waits_for_its_writer_but_not_for_ever(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path], object]
+) -> None:
+    monkeypatch.setattr(files, "FIRST_WRITER_S", 0.1)
+    os.mkfifo(tmp_path / "pipe.toml")
+    with pytest.raises((OSError, ValueError), match="nobody writes to this pipe; start its writer"):
+        read(tmp_path / "pipe.toml")
 
 
 def test_a_column_map_may_come_through_a_pipe_that_somebody_writes(recording: Path, tmp_path: Path) -> None:
@@ -82,9 +92,6 @@ def test_a_column_map_may_come_through_a_pipe_that_somebody_writes(recording: Pa
     said = ran("convert", recording, "--format", f"/dev/fd/{reading}", "--out", out, pass_fds=[reading])
     os.close(reading)
     assert said.returncode == 0, said.stderr
-    os.mkfifo(tmp_path / "map")
-    said = ran("convert", recording, "--format", tmp_path / "map", "--out", out)
-    assert refused(said, "nobody writes to this pipe")
 
 
 def test_a_covariate_of_a_recording_from_a_pipe_asks_for_a_file(recording: Path) -> None:
