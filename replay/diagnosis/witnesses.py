@@ -164,13 +164,13 @@ def _aligned(recording: Recording, witness: Recording) -> Witness:
 def _while_there(recording: Recording, witnesses: Sequence[Recording]) -> Recording:
     """Cut a recording to when all witnesses were there. Raises UserError where that is too little of it."""
     t = recording.accelerometer.t
-    streams = [s for w in witnesses for s in (w.accelerometer, w.gyroscope) if s is not None]
+    streams = [s for w in witnesses for s in _streams(w)]
     start, end = max(float(s.t[0]) for s in streams), min(float(s.t[-1]) for s in streams)
     if min(end, t[-1]) - max(start, t[0]) < THERE * (t[-1] - t[0]):
-        name = next((w.name for w in witnesses), "the witness")
+        spans = "; ".join(map(_spans, witnesses))
         raise UserError(
-            f"{name}: recorded from {start:.6g} to {end:.6g} s, {recording.name} from {t[0]:.6g} to"
-            f" {t[-1]:.6g} s; a witness must have been there for at least half of the recording"
+            f"{spans}; {recording.name} from {t[0]:.6g} to {t[-1]:.6g} s; both sensors of every witness must"
+            " have been there at the same time, for at least half of the recording"
         )
 
     def cut(samples: Samples | None) -> Samples | None:
@@ -179,6 +179,15 @@ def _while_there(recording: Recording, witnesses: Sequence[Recording]) -> Record
     accelerometer = cut(recording.accelerometer)
     assert accelerometer is not None, "half of it is left"
     return replace(recording, accelerometer=accelerometer, gyroscope=cut(recording.gyroscope))
+
+
+def _streams(recording: Recording) -> list[Samples]:
+    return [s for s in (recording.accelerometer, recording.gyroscope) if s is not None]
+
+
+def _spans(recording: Recording) -> str:
+    spans = [f"the {s.sensor} from {s.t[0]:.6g} to {s.t[-1]:.6g} s" for s in _streams(recording)]
+    return f"{recording.name}: recorded {' and '.join(spans)}"
 
 
 def _inside(t: Array, start: float, end: float) -> slice:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 
 import msgspec
 import numpy as np
@@ -98,13 +99,17 @@ class Spans:
 
     def __init__(self) -> None:
         self._ends: dict[Sensor, tuple[float, float]] = {}
+        self._gaps: dict[Sensor, list[tuple[float, float]]] = {}
 
     def see(self, *run: Samples) -> None:
         """Take in a run of both sensors."""
         for samples in run:
             if len(samples):
-                first, _ = self._ends.get(samples.sensor, (float(samples.t[0]), 0.0))
+                first, last = self._ends.get(samples.sensor, (float(samples.t[0]), float(samples.t[0])))
                 self._ends[samples.sensor] = first, float(samples.t[-1])
+                t = np.concatenate([[last], samples.t])
+                gaps = np.flatnonzero(np.diff(t) > ALONE_S)
+                self._gaps.setdefault(samples.sensor, []).extend(zip(t[gaps], t[gaps + 1], strict=True))
 
     def said(self) -> Iterator[str]:
         """Say of each sensor for how long the other one was on without it, where that is long."""
@@ -116,6 +121,25 @@ class Spans:
             if first - begin + end - last > ALONE_S:
                 span = f"{first - begin:.1f} to {last - begin:.1f} s"
                 yield f"the {sensor} has samples from {span} only, of {end - begin:.1f} s"
+        for sensor, other in permutations(self._ends):
+            holes = [(a - begin, b - begin) for a, b in self._alone(sensor, other)]
+            if holes:
+                a, b = max(holes, key=lambda hole: hole[1] - hole[0])
+                total = sum(b - a for a, b in holes)
+                more = f" (the longest of {len(holes)} holes, {total:.1f} s together)" if holes[1:] else ""
+                yield f"the {sensor} has no samples from {a:.1f} to {b:.1f} s, where the {other} has{more}"
+
+    def _alone(self, sensor: Sensor, other: Sensor) -> Iterator[tuple[float, float]]:
+        """Yield when a sensor has no samples between two of its own where the other has, for long."""
+        first, last = self._ends[other]
+        missing = np.array(self._gaps[other]).reshape(-1, 2)
+        for a, b in self._gaps[sensor]:
+            since, until = max(a, first), min(b, last)
+            both = missing[(missing[:, 1] > since) & (missing[:, 0] < until)]
+            for start, stop in (*both.tolist(), (until, until)):
+                if start - since > ALONE_S:
+                    yield since, start
+                since = max(since, stop)
 
 
 class _Side:

@@ -148,9 +148,11 @@ def _is_rest_table(names: list[str], rows: list[list[str]], *, whole: bool) -> b
         return False
     places = [names.index(axis) for axis in ("ax", "ay", "az")]
     cells = [[row[p] for p in places] for row in rows if len(row) == len(names)]
-    if not all(map(_numbers_in, cells)):
+    means = np.array([row for row in cells if _numbers_in(row)], dtype=np.float64).reshape(-1, 3)
+    if cells and not len(means):
         return False
-    steps = np.linalg.norm(np.diff(np.array(cells, dtype=np.float64).reshape(-1, 3), axis=0), axis=1)
+    means = means[np.isfinite(means).all(axis=1)]  # the reader names the row of one that is not
+    steps = np.linalg.norm(np.diff(means, axis=0), axis=1)
     return steps.size == 0 or float(np.median(steps)) > _TURNED
 
 

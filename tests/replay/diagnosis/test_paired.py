@@ -294,7 +294,9 @@ def test_a_witness_of_another_time_is_refused() -> None:
         accelerometer=replace(witness.accelerometer, t=frozen(witness.accelerometer.t + 400.0)),
         gyroscope=replace(witness.gyroscope, t=frozen(witness.gyroscope.t + 400.0)),
     )
-    with pytest.raises(UserError, match=r"witness.csv: recorded from 400 to .* at least half"):
+    with pytest.raises(
+        UserError, match=r"witness.csv: recorded the accelerometer from 400 to .* at least half"
+    ):
         judge_with_witnesses(recording(1), [later])
 
 

@@ -75,6 +75,15 @@ def test_a_witness_on_another_body_is_refused() -> None:
     assert not isinstance(refusal.value, NotSupported)
 
 
+def test_a_sensor_of_a_witness_that_ends_early_is_named() -> None:
+    one, other = (sensor(k, f"{k}.csv", length=60.0) for k in (2, 3))
+    assert other.gyroscope is not None
+    other = replace(other, gyroscope=other.gyroscope[:500])
+    until = other.gyroscope.t[-1]
+    with pytest.raises(UserError, match=rf"3\.csv: recorded .* and the gyroscope from 0 to {until:.6g} s;"):
+        judge_with_witnesses(sensor(1, length=60.0), [one, other])
+
+
 def test_a_witness_whose_mounting_is_not_shown_is_refused_as_too_little_data() -> None:
     vertical = np.array([0.0, 0.0, 1.0])
     with pytest.raises(NotSupported, match=r"how 2\.csv is mounted is not shown"):

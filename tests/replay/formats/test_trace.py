@@ -12,9 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stillcal.calib_core.streams.events import Charging, Location
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.merge import merged
+from stillcal.replay.formats.merge import Spans, cut, merged
+from stillcal.replay.formats.recognition.opened import is_rest_table
 from stillcal.replay.formats.rest_table import read_rest_table
 from stillcal.replay.formats.trace import open_trace, read_all
 
@@ -270,6 +271,15 @@ def test_a_bad_rest_table_is_refused(tmp_path: Path, text: str, what: str) -> No
         open_trace(path, "rest")
 
 
+@pytest.mark.parametrize("cell", ["nan", "inf", "", "none"])
+def test_a_rest_table_with_a_cell_that_is_no_number_is_known_as_one(tmp_path: Path, cell: str) -> None:
+    """It was taken for a recording, which has no column of time stamps."""
+    (tmp_path / "r.csv").write_text(f"ax,ay,az\n0,0,9.9\n0,9.8,0\n9.8,{cell},0\n0,0,-9.8\n")
+    assert is_rest_table(tmp_path / "r.csv")
+    with pytest.raises(TraceError, match=r"r\.csv:4: .*'ay'"):
+        read_rest_table(tmp_path / "r.csv")
+
+
 def test_a_sensor_that_was_on_for_a_part_of_the_time_is_told_of(tmp_path: Path) -> None:
     lines = [HEADER, *(",".join(map(repr, row)) for row in still(3000).tolist())]
     (tmp_path / "both.csv").write_text("\n".join(lines))
@@ -279,3 +289,28 @@ def test_a_sensor_that_was_on_for_a_part_of_the_time_is_told_of(tmp_path: Path) 
     _, note = read_all(tmp_path / "part.csv").notes
     assert note == "part.csv: the gyroscope has samples from 0.0 to 15.0 s only, of 30.0 s"
     assert len(read_all(tmp_path / "part.csv", stop=20.0).notes) == 1, "5 s alone are not told of"
+
+
+def spans_of(*streams: tuple[Sensor, np.ndarray], rows: int = 700) -> list[str]:
+    """Return what is said of sensors with these stamps, s, which are seen in runs."""
+    seen = Spans()
+    for pair in cut({sensor: Samples(sensor, t, np.zeros((t.size, 3))) for sensor, t in streams}, rows):
+        seen.see(*pair)
+    return list(seen.said())
+
+
+def test_a_hole_of_one_sensor_is_told_of_and_one_of_both_is_not() -> None:
+    t = np.arange(0.0, 100.0, 0.1)
+    holed = t[(t < 20.0) | ((t > 35.0) & (t < 50.0)) | (t > 62.0)]
+    said = spans_of((Sensor.ACCELEROMETER, t), (Sensor.GYROSCOPE, holed))
+    where = "from 19.9 to 35.1 s, where the accelerometer has"
+    assert said == [f"the gyroscope has no samples {where} (the longest of 2 holes, 27.4 s together)"]
+    assert spans_of((Sensor.ACCELEROMETER, holed), (Sensor.GYROSCOPE, holed)) == []
+    assert spans_of((Sensor.ACCELEROMETER, t[t < 30.0]), (Sensor.GYROSCOPE, t[(t < 25.0) | (t > 45.0)])) == [
+        "the accelerometer has samples from 0.0 to 29.9 s only, of 99.9 s"
+    ]
+    longer = t[(t < 20.0) | (t > 75.0)]
+    assert spans_of((Sensor.ACCELEROMETER, longer), (Sensor.GYROSCOPE, holed)) == [
+        "the accelerometer has no samples from 35.1 to 49.9 s, where the gyroscope has"
+        " (the longest of 2 holes, 27.8 s together)"
+    ]
