@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
@@ -301,5 +301,5 @@ def _named(found: Finding, without: Collection[str]) -> Finding:
     """Take the name off a finding that the catalogue does not have."""
     if found.effect not in without:
         return found
-    say = f"Unknown effect ({found.sensor}); it follows {found.where.driver}."
+    say = only_unknown(f"({found.sensor})", found.where.driver)
     return replace(found, effect="unknown", alternatives=[], statement=say)

@@ -186,7 +186,9 @@ def _finding(
         out["evidence"] |= _held_out(own)
         told = {k: _parameter(p) for k, p in own.parameters.items() if k in GRID_PARAMETERS}
         out["parameters" if one.relation == "lacking" else "simulated"] |= told
-    out["statement"] = " ".join(filter(None, (statement(out, names), one.note)))
+    found = one.recorded or one.simulated
+    observed = "" if found is None else found.observed
+    out["statement"] = " ".join(filter(None, (statement(out, names, observed), one.note)))
     out |= {"assumption": one.note} if one.note else {}
     return out | to_paste(out)
 

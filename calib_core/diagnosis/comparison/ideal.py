@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.comparison.records import (
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.comparison.stated import is_sure, undecided_finding
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED, claimed, convention
 
@@ -68,7 +68,7 @@ def _with_what_differs(apart: Comparison, exam: Examination, found: Sequence[Sou
     nearest = max(every, key=lambda f: f.evidence.log_bayes_factor)
     nats = nearest.evidence.log_bayes_factor
     odds = posterior(nats, checks)
-    say = f"Unknown effect ({nearest.sensor}); it follows {nearest.where.driver}."
+    say = only_unknown(f"({nearest.sensor})", nearest.where.driver)
     unnamed = replace(nearest, effect="unknown", alternatives=[], statement=say)
     told = {(n.effect, n.sensor) for n in apart.undecided}
     unsure = [] if (nearest.effect, nearest.sensor) in told else [undecided_finding(nearest, odds, DOES_NOT)]

@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.model.effect import (
     on_axes,
 )
 from stillcal.calib_core.diagnosis.model.moments import Moments
+from stillcal.calib_core.diagnosis.model.records import only_unknown
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 COSINES = 6
@@ -50,12 +51,11 @@ OF_JUMPS = (curves.pulses, curves.switches)
 
 GAIN = Linear("gain", "1", 3, 0.02)
 SLOPE = Linear("slope", "1/K", 3, 1e-3)
-SAY = "Unknown effect on the {what} of {{axes}}; it follows {follows}."
 
 
 def unknown_sentence(follows: str, what: str = "bias") -> str:
     """Return what is said of an effect without a name. what: "bias" or "gain"; follows: its driver."""
-    return SAY.format(what=what, follows=follows)
+    return only_unknown(f"on the {what} of {{axes}}", follows)
 
 
 class Unknown(Effect):

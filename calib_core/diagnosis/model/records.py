@@ -91,6 +91,15 @@ class Alternative:
     indistinguishable: bool
 
 
+UNKNOWN = "Unknown effect"
+"""How the statement of a finding without a name begins that tells no more than what it follows."""
+
+
+def only_unknown(of: str, follows: str) -> str:
+    """Return the statement of a finding without a name. of: "on", what and where; follows: its driver."""
+    return f"{UNKNOWN} {of}; it follows {follows}."
+
+
 @dataclass(frozen=True, slots=True)
 class Finding:
     """One thing that an ideal sensor does not do."""
@@ -103,6 +112,12 @@ class Finding:
     evidence: Evidence
     alternatives: list[Alternative]
     statement: str
+
+    @property
+    def observed(self) -> str:
+        """What was observed of something without a name, in words; "" where only its driver is known."""
+        told = self.effect == "unknown" and not self.statement.startswith(UNKNOWN)
+        return self.statement if told else ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,9 +95,12 @@ OF_CORRECTION = (
 """Said of scale and misalignment, whose sign a simulator's own settings may have the other way round."""
 
 
-def statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
-    """Return what differs and what to do about it in the simulation, in one to three sentences."""
-    text = _statement(finding, names).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
+def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str = "") -> str:
+    """Return what differs and what to do about it in the simulation, in one to four sentences.
+
+    observed: what was observed of something without a name, a sentence; "" where that is not known.
+    """
+    text = _statement(finding, names, observed).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
     text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
@@ -142,7 +145,7 @@ def _undistinguished(finding: Mapping[str, Any]) -> str:
     return f" This recording cannot tell it from: {', or '.join(alike)}." if alike else ""
 
 
-def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
+def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str) -> str:
     recording, simulation = names[0], simulation_text(names[1])
     what = noun(finding["effect"], finding["sensor"])
     name = _clearest(finding)
@@ -152,7 +155,8 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str]) -> str:
         side = "parameters" if relation == "lacking" else "simulated"
         seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
         driver = finding["where"]["driver"]
-        return f"{owner} shows {what}{seen}; it follows {driver}. {other} does not show it."
+        shows = f"{owner} shows {what}{seen}; it follows {driver}."
+        return " ".join(filter(None, (shows, observed, f"{other} does not show it.")))
     if relation == "lacking" and finding["effect"] in CONSTANTS:
         by = _every(finding, "difference")
         return f"The {what} of {recording} differs from that of {simulation} by {by}. Add it."

@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
 from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where, only_unknown
+from stillcal.replay.diagnosis.answer import _finding
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor
 
@@ -170,6 +173,8 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     }  # fmt: skip
     said = statement(finding, ("real.csv", BUILT_IN))
     assert ", on y from 0 to 831 s, gain y -0.300 ± 0.030 %; it follows own force" in said
+    observed = statement(finding, ("real.csv", BUILT_IN), "Its gain depends on the weather.")
+    assert "a stretch of time. Its gain depends on the weather. The built-in" in observed
     # Gravity's norm sees one direction a rest: all three axes together are sure, and none of them by itself.
     loose = {"step": {"value": [0.006, 0.03, -0.028], "ci95": [[-0.01, 0.022], [-0.01, 0.07], [-0.07, 0.014]],
                       "unit": "m/s^2"}}  # fmt: skip
@@ -177,6 +182,17 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     assert "(accelerometer), from 0 to 831 s, step up to 3.06 mg (the axes are not told apart);" in text
     many = {"amplitude": {"value": (0.01 * np.eye(3)).tolist(), "unit": "rad/s"}}
     assert "amplitude up to 0.573 deg/s;" in statement(finding | {"parameters": many}, ("real.csv", BUILT_IN))
+
+
+@pytest.mark.parametrize(
+    ("said", "told"), [("The x axis is stuck at 0.3.", True), (only_unknown("(accel)", "samples"), False)]
+)
+def test_what_was_observed_of_something_nameless_is_told_with_it(said: str, told: bool) -> None:
+    where = Where(0.0, 60.0, (0.0, 0.0), "samples")
+    own = Finding("unknown", "accel", ["x"], where, {}, Evidence(30.0), [], said)
+    one = Discrepancy("unknown", "accel", ["x"], where, "lacking", 1.0, 30.0, recorded=own)
+    text = _finding(one, ("real.csv", BUILT_IN), {}, None)["statement"]
+    assert (said in text) == told and text.count("follows samples") == 1
 
 
 def test_a_daemons_user_is_told_of_the_sensor_and_of_no_simulation() -> None:

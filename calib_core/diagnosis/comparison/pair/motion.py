@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import ALL_AXES
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log_likelihood
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
-from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
@@ -58,7 +58,7 @@ class Motion:
             [int(a) for a in np.flatnonzero(self.variance > 0.0)],
             Where(*scene.bins.span, SLOW_BAND, "motion"),
             sized({"rms": (np.sqrt(self.variance).tolist(), UNIT[scene.sensor])}),
-            statement=f"Unknown effect ({NAME[scene.sensor]}); it follows motion.",
+            statement=only_unknown(f"({NAME[scene.sensor]})", "motion"),
             seen=Seen(self.log_bayes_factor),
         )
 
