@@ -11,6 +11,9 @@ from stillcal.calib_core.arrays import Array
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 COMB_SAMPLES = 20000
 
+FEW = 0.05
+"""Part of the changes that may be smaller than the least one that counts."""
+
 HARMONICS = 8
 BENEATH = np.linspace(0.1, 1.0, 91)
 """Noise, in steps, that is told apart by the codes it reaches: less than the first reaches two codes at most,
@@ -104,3 +107,12 @@ def _excesses() -> Array:
         mean = CODES[1:] @ chance
         rows.append(np.interp(PLACES, mean, CODES[1:] ** 2 @ chance - mean**2) - PLACES * (1.0 - PLACES))
     return np.maximum.accumulate(np.array(rows), axis=0)
+
+
+def least_change(values: Array) -> float:
+    """Return what few changes from one value (n,) to the next stay below, unit: the step, where it is coarse.
+
+    Where values have two gains one after the other, the grid of all is much finer than the steps of either.
+    """
+    changes = np.abs(np.diff(values))
+    return float(np.quantile(changes[changes > 0.0], FEW)) if changes.any() else 0.0

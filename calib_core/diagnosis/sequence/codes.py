@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.missing_codes import ON_GRID
@@ -109,19 +110,32 @@ def lattice(code: Index) -> Repeats | None:
     """Return the power of two that single values are off by, or multiples of it; None where none is far off.
 
     What neighbours leave of them, six times, is then such a multiple too. Of other large residuals fewer lie
-    about a multiple than half way to it: the larger they are, the rarer.
+    about a multiple than half way to it: the larger they are, the rarer. Those of a vibration are not, but
+    they come one after the other.
     """
-    left = 6.0 * residual(code.astype(np.float64)[:, None])
-    noise, found = float(spread(left)[0]), []
+    left = 6.0 * residual(code.astype(np.float64)[:, None])[:, 0]
+    noise, found = float(spread(left[:, None])[0]), []
     for bit in range(BITS_OFF[0], BITS_OFF[1] + 1):
         period = float(2**bit)
-        far = left[np.abs(left) > period / 2.0]
+        far = left[_single(np.abs(left) > period / 2.0)]
         if period < CLEAR * noise or far.size < FEWEST_FAR:
             continue
         waves = float(np.cos(2.0 * np.pi * far / period).sum())
         sigmas = max(waves, 0.0) / np.sqrt(0.5 * ALIKE * far.size)
         found.append(Repeats(bit, "error of single values", of_fit(0.5 * sigmas**2, 1.0, far.size, BITS)))
     return max(found, key=lambda r: r.nats, default=None)
+
+
+def _single(far: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return which of the far residuals (n,) have none near them but those that know of the same value."""
+    near, own = 4 * REACH, 2 * REACH
+    before = np.concatenate([np.zeros(near + 1), np.cumsum(far), np.full(near, far.sum())])
+    at = np.arange(far.size) + near
+
+    def within(reach: int) -> Array:
+        return np.asarray(before[at + reach + 1] - before[at - reach])
+
+    return np.asarray(far & (within(near) == within(own)))
 
 
 def codes(values: Array) -> Index | None:

@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
-from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, least_change
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, WEIGHTS, residual, spread
 from stillcal.calib_core.streams.samples import Samples
 
@@ -93,5 +93,5 @@ def _beyond_steps(at: Index, off: Array, values: Array) -> tuple[Index, Array]:
     """Return those of single values (k,) that are no rounding: coarse steps leave nothing between them."""
     if not at.size:
         return at, off
-    beyond = np.abs(off) > FAR * (comb_step(values) or 0.0) / np.sqrt(12.0)
+    beyond = np.abs(off) > FAR * least_change(values) / np.sqrt(12.0)
     return at[beyond], off[beyond]

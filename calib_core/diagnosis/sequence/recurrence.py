@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import least_change
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual, spread
 from stillcal.calib_core.streams.samples import Samples
 
@@ -187,10 +187,10 @@ def stays(xyz: Array, axis: int, free: Flags) -> tuple[Index, float, float]:
     and the axis moves before and after it: where a motion begins, the last sample of the rest is not late.
     free: (n - 1,) whether the two are not at the end of the axis' range, where motion keeps them.
     """
-    left, values = residual(xyz[:, [axis]])[:, 0], xyz[REACH:-REACH, axis]
-    step = comb_step(values) or 0.0
-    unit = max(float(spread(left[:, None])[0]), step)
+    left = residual(xyz[:, [axis]])[:, 0]
     changes = np.diff(xyz, axis=0)
+    step = least_change(xyz[:, axis])
+    unit = max(float(spread(left[:, None])[0]), step)
     moves = np.abs(changes[:, axis]) > SURE * unit
     inner = slice(REACH - 1, -REACH)
     change, amid = changes[inner], moves[:-2] & moves[2:]

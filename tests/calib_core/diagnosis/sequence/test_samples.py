@@ -125,6 +125,22 @@ def test_sound_samples_are_silent(seed: int) -> None:
     assert said(codes) == []
 
 
+def test_coarse_steps_of_two_gains_stay_by_chance() -> None:
+    """The grid of both is fifty times as fine as either: values were said to be read before they are new."""
+    codes = 400.0 * np.rint(turning(3) / 400.0)
+    codes[len(codes) // 2 :] *= 1.02
+    assert said(codes) == []
+
+
+def test_a_machine_that_shakes_some_rests_has_no_code() -> None:
+    """A line near half the sample rate; its samples were values that are off by multiples of 512 codes."""
+    codes = turning(3)
+    t = np.arange(len(codes)) / RATE
+    shaken = (t % 60.0) < 20.0
+    codes[shaken] += np.rint(np.outer(np.sin(2.0 * np.pi * 0.452 * RATE * t[shaken]), [150.0, 100.0, 300.0]))
+    assert "own code" not in {f.where.driver for f in said(codes)}
+
+
 def test_a_simulated_motion_that_repeats_itself_without_noise_is_not_delivered_again() -> None:
     t = np.arange(6000) / RATE
     assert said(np.rint(15000.0 * np.sin(2.0 * np.pi * np.outer(t, [0.1, 0.2, 0.3])))) == []
