@@ -132,8 +132,9 @@ def _agreed(quantity: Quantity) -> dict[str, Any]:
     return {"effect": quantity.effect, "sensor": quantity.sensor, "parameters": _values(quantity)}
 
 
-def _not_compared(one: NotCompared) -> dict[str, str]:
-    return {"effect": one.effect, "sensor": one.sensor, "reason": one.reason}
+def _not_compared(one: NotCompared) -> dict[str, Any]:
+    out = {"effect": one.effect, "sensor": one.sensor, "reason": one.reason}
+    return out if one.probability is None else out | {"probability": one.probability}
 
 
 def _smallest(one: Smallest) -> dict[str, Any]:

@@ -49,11 +49,12 @@ class Discrepancy:
 
 @dataclass(frozen=True, slots=True)
 class NotCompared:
-    """An effect that could not be compared, and why."""
+    """An effect that could not be compared, and why. probability: of a difference that was not decided."""
 
     effect: str
     sensor: str
     reason: str
+    probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -81,8 +81,9 @@ def worth_telling(difference: Difference, had: Set[Key]) -> bool:
 
 def undecided(difference: Difference, names: tuple[str, str]) -> NotCompared:
     """Return what was compared with a probability that is neither a difference nor agreement."""
-    odds = f"probability of a difference {difference.probability:.2f}"
-    return NotCompared(*key_of(difference), f"{names[0]} and {names[1]} do not decide it: {odds}")
+    probability = difference.probability
+    seen = f"{names[0]} and {names[1]} do not decide it: probability of a difference {probability:.2f}"
+    return NotCompared(*key_of(difference), seen, probability)
 
 
 def discrepancy(difference: Difference) -> Discrepancy:
@@ -148,8 +149,9 @@ def undecided_finding(finding: Finding, probability: float, who: str) -> NotComp
     odds = "above 0.99" if probability >= 0.995 else f"{probability:.2f}"
     seen = f"{who} decide it: probability {odds}"
     if finding.evidence.contradicted or probability >= CERTAIN:
-        seen = (
+        why = (
             f"the fit suggests it (probability {odds}), but it does not predict the parts of the recording"
             " that were left out of the fit"
         )
-    return NotCompared(finding.effect, finding.sensor, seen)
+        return NotCompared(finding.effect, finding.sensor, why)
+    return NotCompared(finding.effect, finding.sensor, seen, probability)

@@ -79,7 +79,7 @@ def page(judged: Judged, made: str = "") -> str:
     """Return the page's HTML. made: when, and by which command, for its head; "" leaves that line out."""
     answer = judged.answer
     recording, simulation = escape(answer["recording"]), escape(simulation_text(answer["simulation"]))
-    strong, _, rest = headline(answer).partition(" (")
+    strong, _, rest = headline(answer).rpartition(" (")
     parts = [
         f"<h1>{recording} against {simulation}</h1>",
         f'<p class="made">{escape(made)}</p>' if made else "",

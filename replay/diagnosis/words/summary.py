@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, EVEN
 from stillcal.calib_core.diagnosis.comparison.records import LEVEL
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import with_interval
@@ -21,6 +21,7 @@ VERDICTS = {
     "not_judged": "Not judged: too few of the checks could be made",
 }
 NAMED_ONLY = "Differences found and named, but the corrected simulation does not fit"
+NOT_DECIDED = "No difference is sure, but likely: "
 NOT_WHOSE = "Differences found, not all of them surely the recording's"
 
 LINES = 14
@@ -35,6 +36,9 @@ def headline(answer: Mapping[str, Any]) -> str:
         text = NAMED_ONLY
     if any(max(f["owners"].values()) < CERTAIN for f in answer["findings"] if "owners" in f):
         text = NOT_WHOSE
+    likely = [one for one in answer["not_compared"] if one.get("probability", 0.0) > EVEN]
+    if answer["verdict"] == "match" and likely:
+        text = NOT_DECIDED + _some([noun(one["effect"], one["sensor"]) for one in likely])
     checks = f"{made} of {of} checks possible"
     return f"{text} ({checks})"
 

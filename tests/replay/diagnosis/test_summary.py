@@ -6,6 +6,8 @@ from typing import Any
 
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
+from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.summary import headline, outcome, summary
 
@@ -17,6 +19,7 @@ def answer(effect: str, verdict: str, **fit: Any) -> dict[str, Any]:
         "simulation": BUILT_IN,
         "verdict": verdict,
         "findings": [{"effect": effect}],
+        "not_compared": [],
         "checks": {"made": 9, "of": 10},
         "fit": {"p_before": 1e-9, "not_put_in": [], "still_different": []} | fit,
     }
@@ -34,6 +37,16 @@ def test_what_is_named_and_not_explained_is_told_from_what_has_no_name(
     effect: str, fit: dict[str, float], says: str
 ) -> None:
     assert says in headline(answer(effect, "partly_identified", **fit))
+
+
+@pytest.mark.parametrize(("probability", "likely"), [(0.9, True), (0.4, False), (None, False)])
+def test_a_likely_difference_is_named_where_none_is_sure(probability: float | None, likely: bool) -> None:
+    open_one = NotCompared("accel_nonlinearity", "accel", "the recording does not decide it", probability)
+    compared = Comparison(undecided=[open_one], comparisons=9)
+    said = answer_of(compared, ("real.csv", "sim.csv"), Fit.of(compared, compared), {}, None)
+    assert said["verdict"] == "match"
+    assert headline(said).startswith("No difference is sure, but likely: nonlinearity") == likely
+    assert headline(said).startswith("No difference found") != likely
 
 
 @pytest.mark.parametrize(
