@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, share
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples
 
@@ -46,14 +47,18 @@ SAME_HZ = 0.05
 class Stream:
     """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests).
 
-    lines: the vibrations found, which are taken off what the rests show of noise (`still`).
+    calm: the samples without single outliers, which lines, levels and steps are read from; lines: the
+    vibrations found, which are taken off what the rests show of noise (`still`); raw: the same rests with the
+    outliers.
     """
 
     sensor: str
     samples: Samples
+    calm: Samples
     bins: Bins
     lines: list[Finding]
     still: Quiet
+    raw: Quiet
     steps: Steps
     spectra: Spectra | None
     levels: noise.Levels | None
@@ -68,15 +73,18 @@ class Stream:
         lines: list[Finding] | None = None,
     ) -> Stream:
         """Measure a sensor's rests; coarse steps hide its noise. lines: if known; None to look for them."""
-        rests = quiet(samples, bins)
+        calm = without_outliers(samples)
+        rests = quiet(calm, bins)
         sd = (
             np.sqrt(np.median([p.var(axis=0) for p in rests.pieces], axis=0)) if rests.pieces else np.zeros(3)
         )
         seen = steps(samples, sd)
         if lines is None:
-            lines = [] if seen.hides_noise() else tones(samples, sensor)
-        still = quiet(samples, bins, [middle_hz(f) for f in lines]) if lines else rests
-        return cls(sensor, samples, bins, lines, still, seen, *_noise_of(still, seen))
+            lines = [] if seen.hides_noise() else tones(calm, sensor)
+        heard = [middle_hz(f) for f in lines]
+        still = quiet(calm, bins, heard) if lines else rests
+        raw = still if calm is samples else quiet(samples, bins, heard)
+        return cls(sensor, samples, calm, bins, lines, still, raw, seen, *_noise_of(still, seen))
 
     def halves(self, claims: Claims) -> list[Stream]:
         """Return the stream before and after its middle, each measured by itself."""
@@ -103,7 +111,7 @@ class Stream:
         if len(changing) < 2:
             return self.spectra, self.levels
         steady = [middle_hz(f) for f in self.lines if f.where.driver != CHANGING]
-        return _noise_of(quiet(self.samples, self.bins, steady), self.steps)
+        return _noise_of(quiet(self.calm, self.bins, steady), self.steps)
 
 
 def _noise_of(still: Quiet, seen: Steps) -> tuple[Spectra | None, noise.Levels | None]:
@@ -139,7 +147,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        found += [*stream.lines, steady_period(samples, sensor)]
+        found += [*stream.lines, steady_period(stream.calm, sensor)]
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])
@@ -157,7 +165,7 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     at_rest = (stream.spectra, stream.levels, sensor, stream.bins)
     other = (changing(*at_rest) or by_force(*at_rest)) if fine else None
     wide = (
-        tails(stream.still, sensor, sound["excess_kurtosis"], where, stream.steps.largest)
+        tails(stream.raw, sensor, sound["excess_kurtosis"], where, stream.steps.largest)
         if stream.steps.dithered()
         else None
     )

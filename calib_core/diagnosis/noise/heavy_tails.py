@@ -76,10 +76,12 @@ MODEL = 0.01
 
 
 def fast(piece: Array) -> Array:
-    """Return a piece (n, 3) free of its slow course, a cubic in time."""
+    """Return a piece (n, 3) free of its slow course, a cubic in time, which far samples do not bend."""
     x = np.linspace(-1.0, 1.0, len(piece))
     course = np.polynomial.legendre.legvander(x, 3)
-    return np.asarray(piece - course @ np.linalg.lstsq(course, piece, rcond=None)[0])
+    away = piece - np.median(piece, axis=0)
+    near = np.clip(away, -(limit := BOUND * _spread(away)), limit)
+    return np.asarray(away - course @ np.linalg.lstsq(course, near, rcond=None)[0])
 
 
 def _spread(quick: Array) -> Array:

@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.dropouts import dropouts
 from stillcal.calib_core.diagnosis.sequence.lone_values import lone_values
+from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
 from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
@@ -34,7 +35,7 @@ def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding
     if len(samples) < LEAST_SAMPLES:
         return []
     still = still_rows(samples.t, bins)
-    noise = Noise.of(samples.xyz, still)
+    noise = Noise.of(without_outliers(samples).xyz, still)
     drops, dropped = dropouts(samples, sensor)
     found = [
         drops,

@@ -5,9 +5,14 @@ At rest it is the sensor's noise, in motion what is quicker than a cubic through
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.noise.heavy_tails import FAR, OUTLIER
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.streams.samples import Samples
 
 WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
 """What a sample and two on either side count: the fourth difference, a sixth of it."""
@@ -28,3 +33,24 @@ def residual(values: Array) -> Array:
 def spread(left: Array) -> Array:
     """Return the robust spread (k,) of residuals (n, k), more than nothing."""
     return np.asarray(np.maximum(1.4826 * np.median(np.abs(left), axis=0), LEAST_SPREAD))
+
+
+def without_outliers(samples: Samples) -> Samples:
+    """Return samples in which single values far from four neighbours that agree have these' median.
+
+    Where many repeat at a steady time, their overtones would be lines in a spectrum.
+    """
+    n = len(samples) - 2 * REACH
+    if n < 1:
+        return samples
+    step = np.array([comb_step(column) or 0.0 for column in samples.xyz.T])
+    noise = np.hypot(spread(residual(samples.xyz)), step)
+    near = np.stack([samples.xyz[i : i + n] for i in range(2 * REACH + 1) if i != REACH])
+    middle = np.median(near, axis=0)
+    agree = np.ptp(near, axis=0) < 2.0 * FAR * noise
+    alone = agree & (np.abs(samples.xyz[REACH:-REACH] - middle) > OUTLIER * noise)
+    if not alone.any():
+        return samples
+    xyz = samples.xyz.copy()
+    xyz[REACH:-REACH] = np.where(alone, middle, xyz[REACH:-REACH])
+    return replace(samples, xyz=frozen(xyz))

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
@@ -261,3 +262,16 @@ def test_noise_that_is_never_calm_on_all_axes_at_once_has_no_size_to_follow() ->
     assert noise is not None
     assert not noise.calm.any()
     assert noise.lines_of_size().max() == 0.0
+
+
+def test_a_spike_at_regular_times_is_one_finding() -> None:
+    """Its overtones are lines in the spectrum, and it bends the slow course of a rest."""
+    rng, n = np.random.default_rng(2), 30000
+    xyz = np.array([0.3, -0.2, 9.8]) + 0.01 * rng.normal(size=(n, 3))
+    xyz[250::500, 0] += 4.0
+    t = np.arange(n) / 50.0
+    turned = 1e-3 * rng.normal(size=(n, 3))
+    gyroscope = Samples.checked(Sensor.GYROSCOPE, t, turned)
+    found = diagnose(Samples.checked(Sensor.ACCELEROMETER, t, xyz), gyroscope).findings
+    assert [(f.effect, f.sensor, f.axes) for f in found] == [("unknown", "accel", ["x"])]
+    assert found[0].parameters["count"].value == pytest.approx(60.0, abs=3.0)
