@@ -1,4 +1,4 @@
-"""Gravity's direction that jumps while the gyroscope sees no turn: the accelerometer's own.
+"""Gravity's direction that jumps while the gyroscope sees no turn: one of the two sensors is at fault.
 
 Across gravity a bias that jumps and a nudge of the phone look alike to the accelerometer, and the norm of
 gravity shows neither. A nudge is a turn. So gravity's direction, second by second at rest, is compared with
@@ -27,12 +27,13 @@ from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Wher
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_ANGLE
 from stillcal.calib_core.diagnosis.model.settings import JUMP
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
-from stillcal.calib_core.diagnosis.segments.orientation import LONGEST_GAP
+from stillcal.calib_core.diagnosis.segments.orientation import GRAVITY, LONGEST_GAP, MOST_OF_BIAS
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import rest_edges
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, without_gaps, without_spikes
 
-DRIVER = "jumps of gravity's direction that the gyroscope does not see"
+DRIVER = "jumps of gravity's direction that the gyroscope does not see (either may be at fault)"
+MISSED = "turns that the gyroscope does not show"
 
 REACH, FEWEST = 8, 3
 """Windows on either side of a moment that tell a step, at most and at least."""
@@ -240,16 +241,18 @@ def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Fin
     surest = found[0]
     times = [start + WINDOW * float(steps.at[i]) for i in found]
     angle, half = float(steps.angle[surest]), NORMAL_95 * float(error[surest])
+    turned = angle * GRAVITY > MOST_OF_BIAS
     many = "" if len(found) == 1 else f" It does so {len(found)} times; this is the surest."
     say = (
         f"At {times[0]:.0f} s gravity's direction jumps by {np.degrees(angle):.2g} degrees in the"
         f" accelerometer, and the gyroscope sees no such turn.{many}"
     )
+    say += " No bias steps so far: the gyroscope missed a turn." if turned else " Either may be at fault."
     sizes = {"angle": Parameter(angle, [angle - half, angle + half], "rad")}
     if len(found) > 1:
         sizes |= sized({"jumps": (float(len(found)), "1")})
     size = np.abs(steps.step[surest])
-    axes = [int(a) for a in np.flatnonzero(size > 0.5 * size.max())]
-    where = Where(min(times), max(times), (0.0, 1.0 / WINDOW), DRIVER)
-    seen = Seen(of_chance(float(log_chance[surest]), tries))
-    return direct_finding("unknown", "accel", axes, where, sizes, statement=say, seen=seen)
+    axes = [] if turned else [int(a) for a in np.flatnonzero(size > 0.5 * size.max())]
+    where = Where(min(times), max(times), (0.0, 1.0 / WINDOW), MISSED if turned else DRIVER)
+    seen, sensor = Seen(of_chance(float(log_chance[surest]), tries)), "gyro" if turned else "accel"
+    return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)

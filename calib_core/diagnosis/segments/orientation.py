@@ -2,7 +2,8 @@
 
 Specific force that jumps across gravity is a nudge of the phone or a step of the bias. A nudge shows in the
 gyroscope. Rests between which nothing turned are one rest, and a nudge parts the poses within one. What jumps
-by no more than a turn that the gyroscope may have missed parts them too.
+by no more than a turn that the gyroscope may have missed parts them too. What jumps by more than a bias can
+was turned, whatever the gyroscope says: it may have stopped.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ LARGEST = 0.02
 CLEARLY = 3.0
 """Times the largest turn that the gyroscope may have missed, above which a jump is the sensor's own."""
 
+MOST_OF_BIAS = 1.2
+"""m/s^2, beyond which no bias jumps: four standard deviations of what a step of it is at most (`SIZE` in
+effects/bias.py)."""
+
 GRAVITY = 9.8
 AROUND = 15
 """Windows to either side whose mean is the gyroscope's bias at a window."""
@@ -49,10 +54,11 @@ def poses(
         rest[k] = rest[k - 1] if k else 0
         if k:
             before = runs[k - 1]
-            moved = _turned(before, (a, b), rate, count, noise / window)
+            jump = _jump(force, before, (a, b))
+            moved = jump > MOST_OF_BIAS or _turned(before, (a, b), rate, count, noise / window)
             missed = NUDGED * np.sqrt(a - before[1] + 2) * float(noise.max()) * GRAVITY
             rest[k] += moved
-            turned[a] += moved or _jump(force, before, (a, b)) < CLEARLY * missed
+            turned[a] += moved or jump < CLEARLY * missed
         pairs = np.abs(own[1:] + own[:-1]) > NUDGED * np.sqrt(2.0) * noise
         turned[a + 1 : b] += pairs.any(axis=1)
     return rest, np.cumsum(turned)

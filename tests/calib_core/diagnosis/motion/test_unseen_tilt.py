@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER, unseen_tilt
+from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER, MISSED, unseen_tilt
 from stillcal.calib_core.diagnosis.segments.static_bins import cut, overview_of
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.diagnosis.test_true_motion import on_foam
@@ -94,3 +94,9 @@ def test_the_diagnosis_states_it_once() -> None:
     found = diagnose(*lying(3, 0.02, 0.0)).findings
     assert [(f.effect, f.sensor, f.where.driver) for f in found] == [("unknown", "accel", DRIVER)]
     assert "2 times" in found[0].statement
+
+
+def test_a_turn_that_no_bias_makes_is_one_that_the_gyroscope_missed() -> None:
+    found = diagnose(*lying(3, 0.3, 0.0)).findings
+    assert [(f.effect, f.sensor, f.where.driver) for f in found] == [("unknown", "gyro", MISSED)]
+    assert found[0].parameters["angle"].value == pytest.approx(0.3, rel=0.03)
