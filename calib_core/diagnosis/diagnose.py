@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.clear_bins import (
     unlimited,
 )
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
-from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled
+from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
@@ -61,7 +61,7 @@ class Examination:
     scenes: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
     aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
     with the hypotheses they state. timed: whether it is known when what was recorded.
-    exchanged: the sensor whose axes were exchanged for a while, of which nothing slow is searched for.
+    exchanged: the sensor whose axes were exchanged; if for a while, nothing slow of it is searched for.
     delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
     why_no_delay: the reason then, "" where motion is too little to look for it.
     """
@@ -166,14 +166,15 @@ def examine(
     sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
     lost = [f for s, x in sensors if (f := stuck(x, s))]
     clear = outside_of(bins, lost)
-    spoiled = None if gyroscope is None else garbled(accelerometer, gyroscope, clear, claims.gravity)
+    spoiled = None if gyroscope is None else garbled(gyroscope, clear, claims.gravity)
     gone = [*lost, spoiled] if spoiled else lost
     clear = outside_of(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
-    direct = [*gone, *([doubled] if doubled else []), *beside_names(nameless, named)]
+    turned = None if gyroscope is None or spoiled else other_axes(gyroscope, clear, claims.gravity)
+    direct = [*gone, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
     slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     residuals = about_nonlinearity(residuals)
@@ -184,7 +185,7 @@ def examine(
         stated += slow_statements(scene, without)
         progress(MEASURED + (SEARCHED - MEASURED) * done / len(searched))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
-                       exchanged=spoiled.sensor if spoiled else "")  # fmt: skip
+                       exchanged=next((f.sensor for f in (spoiled, turned) if f), ""))  # fmt: skip
     spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
     made = _with_motion(made, spoilt, without, sound, search=search)
     made = _with_tilts(made, seconds, spoilt) if search else made

@@ -152,7 +152,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         yield exam.gyroscope is None, "no rates" if exam.is_table else "no gyroscope"
     column, moving = _of_columns(exam).get((effect, sensor), ("", True))
     yield not moving, f"the column {column} does not change at rest, so nothing can follow it"
-    yield sensor == exam.exchanged, "its axes were exchanged for a while"
+    yield sensor == exam.exchanged, "its axes are exchanged"
     yield from _of_rest(exam, sensor)
     yield not exam.timed and effect.endswith(OF_TIME), "the table's rows have no time"
     if "temperature" in effect:

@@ -1,13 +1,15 @@
-"""Axes that are exchanged or have the wrong sign for a while.
+"""Axes that are exchanged or have the wrong sign, for a while or throughout.
 
 Gravity then does not go where the gyroscope takes it.
 
 Only turns between rests are looked at. A stretch is garbled where most of its turns miss by far, the others
-do not, and one exchange of axes or signs of one sensor, the same for the whole stretch, makes them fit.
+do not, and one exchange of axes or signs of one sensor, the same for the whole stretch, makes them fit. Where
+one makes the turns of the whole recording fit, the two sensors are not told in the same axes.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations, product
 
@@ -58,8 +60,39 @@ class Step:
         return float(np.linalg.norm(after - predicted))
 
 
-def garbled(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
+def garbled(gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
     """Find the stretch of time in which one sensor's axes are not what they were."""
+    found = _steps(gyroscope, bins, gravity)
+    if found is None:
+        return None
+    size = _misses(found, np.eye(3))
+    bad = size > max(FAR, TIMES * float(np.quantile(size, 0.3)))
+    span = _stretch(bad)
+    return None if span is None else _explained(found, size, bad, span)
+
+
+def other_axes(gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
+    """Find axes of the gyroscope that are others than the accelerometer's in all turns.
+
+    Which of the two has the other convention, no recording tells.
+    """
+    found = _steps(gyroscope, bins, gravity)
+    if found is None:
+        return None
+    size = _misses(found, np.eye(3))
+    if np.median(size) < FAR:
+        return None
+    every = _exchanges()
+    misses = [_misses(found, change) for change in every]
+    best = int(np.argmin([np.median(miss) for miss in misses]))
+    if np.median(misses[best]) > FAR:
+        return None
+    nats = _nats(misses[best], np.empty(0), float(len(every))) - _nats(size, np.empty(0), 1.0)
+    return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), Seen(nats))
+
+
+def _steps(gyroscope: Samples, bins: Bins, gravity: float) -> list[Step] | None:
+    """Return the turns between rests, None where they are too few."""
     if bins.rate is None or len(bins) < LEAST_TURNS:
         return None
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
@@ -67,13 +100,12 @@ def garbled(accelerometer: Samples, gyroscope: Samples, bins: Bins, gravity: flo
         Step(float(c.t[0]), float(c.t[-1]), c.t, c.rate, baseline.up[c.first : c.first + 2])
         for c in cuts(gyroscope, bins)
     ]
-    if len(found) < LEAST_TURNS:
-        return None
-    same = np.eye(3)
-    size = np.array([s.miss(same, same, (False, False, False)) for s in found])
-    bad = size > max(FAR, TIMES * float(np.quantile(size, 0.3)))
-    span = _stretch(bad)
-    return None if span is None else _explained(found, size, bad, span)
+    return found if len(found) >= LEAST_TURNS else None
+
+
+def _misses(found: Sequence[Step], gyro: Array) -> Array:
+    """Return how far gravity is, rad, from where the rates, mended by `gyro` (3, 3), take it in each turn."""
+    return np.array([s.miss(np.eye(3), gyro, (False, True, False)) for s in found])
 
 
 def _stretch(bad: NDArray[np.bool_]) -> tuple[int, int] | None:

@@ -1,0 +1,72 @@
+"""Axes that are exchanged or mirrored, for a while or throughout, are told by the turns between rests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.streams.samples import Samples
+from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
+
+
+def changed(samples: Samples, change: np.ndarray, start: float = 0.0, end: float = np.inf) -> Samples:
+    """Return samples whose axes are exchanged, (3, 3), from start to end, s."""
+    inside = (samples.t >= start) & (samples.t < end)
+    return replace(samples, xyz=np.where(inside[:, None], samples.xyz @ change.T, samples.xyz))
+
+
+CYCLED = np.eye(3)[[1, 2, 0]]
+
+
+@pytest.mark.parametrize(
+    ("force_by", "rate_by", "mended_by"),
+    [
+        (np.eye(3), np.diag([-1.0, 1.0, 1.0]), np.diag([-1.0, 1.0, 1.0])),
+        (np.eye(3), CYCLED, CYCLED.T),
+        (np.diag([1.0, 1.0, -1.0]), np.eye(3), np.diag([-1.0, -1.0, 1.0])),
+    ],
+)
+def test_two_conventions_are_told_by_the_exchange_that_mends_all_turns(
+    force_by: np.ndarray, rate_by: np.ndarray, mended_by: np.ndarray
+) -> None:
+    """A force that is mirrored makes the rate, a pseudovector, look turned over about that axis."""
+    force, spin, _ = day()
+    force, spin = changed(force, force_by), changed(spin, rate_by)
+    bins = cut(force, spin)
+    found = other_axes(spin, bins, G)
+    assert found is not None and (found.effect, found.sensor) == ("axis_exchange", "gyro")
+    assert np.array_equal(found.parameters["exchange"].value, mended_by)
+    assert garbled(spin, bins, G) is None
+
+
+def test_axes_that_are_exchanged_for_a_while_are_told_with_when() -> None:
+    force, spin, _ = day()
+    swapped = np.eye(3)[[1, 0, 2]]
+    force = changed(force, swapped, 300.0, 700.0)
+    bins = cut(force, spin)
+    found = garbled(spin, bins, G)
+    assert found is not None and (found.effect, found.sensor, found.axes) == (
+        "axis_exchange",
+        "accel",
+        ["x", "y"],
+    )
+    assert abs(found.where.t_start - 300.0) < 60.0 and abs(found.where.t_end - 700.0) < 60.0
+    assert other_axes(spin, bins, G) is None
+
+
+def test_sound_axes_are_silent() -> None:
+    force, spin, _ = day()
+    bins = cut(force, spin)
+    assert garbled(spin, bins, G) is None and other_axes(spin, bins, G) is None
+
+
+def test_what_is_turned_otherwise_throughout_is_said_once() -> None:
+    force, spin, _ = day()
+    found = compare_with_ideal(examine(force, changed(spin, np.diag([1.0, -1.0, 1.0])))).discrepancies
+    assert [d.effect for d in found] == ["axis_exchange"]
