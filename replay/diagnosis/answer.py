@@ -187,6 +187,8 @@ def _finding(
         out["evidence"] |= _held_out(own)
         told = {k: _parameter(p) for k, p in own.parameters.items() if k in GRID_PARAMETERS}
         out["parameters" if one.relation == "lacking" else "simulated"] |= told
+    if one.departure is not None:
+        out["departure"] = asdict(one.departure) | {"probability": one.departure.probability}
     found = one.recorded or one.simulated
     observed = "" if found is None else found.observed
     out["statement"] = " ".join(filter(None, (statement(out, names, observed), one.note)))

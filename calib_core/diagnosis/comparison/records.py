@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, Relation
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Departure, Finding, Where
 from stillcal.calib_core.diagnosis.model.settings import STATEMENTS_TRUE
 
 Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
@@ -45,6 +45,17 @@ class Discrepancy:
     def true(self) -> float:
         """Probability that the statement is true: that there is a difference, and that this is what it is."""
         return STATEMENTS_TRUE * self.probability
+
+    @property
+    def departure(self) -> Departure | None:
+        """How the effect departs from the form of its name, where one of the two alone has it."""
+        own = self.recorded or self.simulated
+        return None if own is None else own.departure
+
+    @property
+    def is_identified(self) -> bool:
+        """Whether it has a name beyond doubt, and the form that the name gives."""
+        return self.effect != "unknown" and self.probability >= CERTAIN and self.departure is None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,10 +124,10 @@ class Comparison:
             return "not_judged"
         if not self.discrepancies:
             return "match"
-        names = [d.effect != "unknown" and d.probability >= CERTAIN for d in self.discrepancies]
-        if all(names) and p_after is not None and p_after >= LEVEL:
+        if all(d.is_identified for d in self.discrepancies) and p_after is not None and p_after >= LEVEL:
             return "identified"
-        return "partly_identified" if any(names) else "unidentified"
+        named = any(d.effect != "unknown" and d.probability >= CERTAIN for d in self.discrepancies)
+        return "partly_identified" if named else "unidentified"
 
 
 def p_of(log_bayes_factors: Sequence[float]) -> float:

@@ -136,10 +136,10 @@ class SmoothCurve(Unknown):
             line = on_axes(centred(x))
             return np.concatenate([line, np.zeros((len(moments), 3, 3 * COSINES - 3))], axis=2)
         place = (x - x.min()) / max(float(np.ptp(x)), 1e-300)
-        return _waves_on_axes(np.repeat(place[:, None], 3, axis=1), grid["length"])
+        return waves_on_axes(np.repeat(place[:, None], 3, axis=1), grid["length"])
 
 
-def _waves_on_axes(place: Array, length: float) -> Array:
+def waves_on_axes(place: Array, length: float) -> Array:
     """Return each cosine on each axis in turn (n, 3, 3 COSINES), at each axis' place (n, 3) in its range."""
     frequency = np.pi * np.arange(1, COSINES + 1) / MARGIN
     density = np.sqrt(2.0 * np.pi) * length * np.exp(-0.5 * (length * frequency) ** 2)
@@ -162,7 +162,7 @@ class ForceCurve(Unknown):
     def response(self, moments: Moments, grid: Grid) -> Array:
         """Return each cosine on each axis in turn, over the force from -g to g."""
         assert moments.up is not None, "no grid points without attitudes"
-        return _waves_on_axes((moments.up + 1.0) / 2.0, grid["length"])
+        return waves_on_axes((moments.up + 1.0) / 2.0, grid["length"])
 
 
 class GainBySign(Unknown):

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from stillcal.calib_core.gravity import STANDARD
 
 AXES = ("x", "y", "z")
@@ -101,8 +103,26 @@ def only_unknown(of: str, follows: str) -> str:
 
 
 @dataclass(frozen=True, slots=True)
+class Departure:
+    """How an effect departs from the form that its name gives, if it does.
+
+    log_bayes_factor: nats for an open form against the name's own, as likely beforehand; part: of the
+    effect's amplitude at rest that the likeliest departure has; way: what that is, in words.
+    """
+
+    log_bayes_factor: float
+    part: float
+    way: str
+
+    @property
+    def probability(self) -> float:
+        """The probability that the name's own form is not kept."""
+        return float(1.0 / (1.0 + np.exp(-min(self.log_bayes_factor, 700.0))))
+
+
+@dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that an ideal sensor does not do."""
+    """One thing that an ideal sensor does not do. departure: None where its name's form holds."""
 
     effect: str
     sensor: str
@@ -112,6 +132,7 @@ class Finding:
     evidence: Evidence
     alternatives: list[Alternative]
     statement: str
+    departure: Departure | None = None
 
     @property
     def observed(self) -> str:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Fit,
     fit_hypothesis,
@@ -72,6 +73,18 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
         if name in hypothesis.effect.grid_units
     }
     return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
+
+
+def evidence_of(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+    """Return the log Bayes factor of an effect over its fine grid, with `others` beside it."""
+    candidates = scene.finer(hypothesis)
+    reduced = reduce_scene(scene, candidates, others, parts=True)
+    return log_bayes_factor(reduced, len(candidates), max(tried(scene, hypothesis) / len(candidates), 1.0))
+
+
+def tried(scene: Scene, hypothesis: Hypothesis) -> float:
+    """Return of how many curves or grid points a hypothesis is the best."""
+    return max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
 
 
 def _candidates(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:

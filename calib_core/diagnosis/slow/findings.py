@@ -10,7 +10,6 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import copies
-from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -20,7 +19,9 @@ from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alterna
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
-from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
+from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, evidence_of, parameters, tried
+from stillcal.calib_core.diagnosis.slow.form import departures_of, doubted
+from stillcal.calib_core.diagnosis.slow.form import stated as form_stated
 from stillcal.calib_core.diagnosis.slow.search import (
     LN10,
     Scored,
@@ -162,7 +163,14 @@ def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [_supported(f) for f in made]
         if min(gains) > 0.0:
-            return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
+            forms = departures_of(scene, estimates)
+            doubtful = doubted(scene, kept, estimates, forms)
+            if doubtful is None:
+                told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
+                made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
+                return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
+            steps = [without_name(s) if s.winner.fit is doubtful.winner.fit else s for s in steps]
+            continue
         weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]
         steps = _without(steps, weak[-1])
     return []
@@ -288,23 +296,11 @@ def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]
             heldout_log_score_gain=after.log_score - before.log_score,
             folds=FOLDS,
             named_in_folds=_first_in(scene, (step.winner, after), rivals),
-            log_bayes_factor=_log_bayes_factor(scene, own, others),
+            log_bayes_factor=evidence_of(scene, own, others),
         ),
         alternatives=alternatives,
         statement=sentence(found, axes, alternatives),
     )
-
-
-def _log_bayes_factor(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
-    """Return the log Bayes factor of an effect over its fine grid, with `others` beside it."""
-    candidates = scene.finer(hypothesis)
-    reduced = reduce_scene(scene, candidates, others, parts=True)
-    return log_bayes_factor(reduced, len(candidates), max(_tried(scene, hypothesis) / len(candidates), 1.0))
-
-
-def _tried(scene: Scene, hypothesis: Hypothesis) -> float:
-    """Return of how many curves or grid points a hypothesis is the best."""
-    return max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
 
 
 def _first_in(scene: Scene, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
@@ -315,7 +311,7 @@ def _first_in(scene: Scene, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[
     """
     different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
     mine, *others = (
-        np.array(h.training) - np.log(_tried(scene, s.hypothesis)) - _given_away(s)
+        np.array(h.training) - np.log(tried(scene, s.hypothesis)) - _given_away(s)
         for s, h in (own, *different)
     )
     return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)

@@ -103,6 +103,7 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
     text = _statement(finding, names, observed).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
     text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
+    text += _departing(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -113,7 +114,7 @@ def told_of_sensor(finding: Mapping[str, Any]) -> dict[str, str]:
         said = f"{behaviour('unknown', finding['sensor'])}; it follows {finding['where']['driver']}"
     else:
         size, said = _every(finding, "parameters"), behaviour(finding["effect"], finding["sensor"])
-    text = f"{said}: {size}." + _at_temperature(finding) + _undistinguished(finding)
+    text = f"{said}: {size}." + _at_temperature(finding) + _undistinguished(finding) + _departing(finding)
     assumed = f" {finding['assumption']}" if "assumption" in finding else ""
     return {"statement": text + assumed, "size": size}
 
@@ -143,6 +144,17 @@ def _undistinguished(finding: Mapping[str, Any]) -> str:
     """Return which other effects would look the same in this recording; "" where none would."""
     alike = [noun(a["effect"], finding["sensor"]) for a in finding["alternatives"] if a["indistinguishable"]]
     return f" This recording cannot tell it from: {', or '.join(alike)}." if alike else ""
+
+
+def _departing(finding: Mapping[str, Any]) -> str:
+    """Return in what an effect departs from the form of its name; "" where it does not."""
+    departure = finding.get("departure")
+    if departure is None:
+        return ""
+    return (
+        f" This is not all of it: the effect goes {departure['way']}, which makes"
+        f" {100.0 * departure['part']:.0f} % of its size and has no name."
+    )
 
 
 def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str) -> str:

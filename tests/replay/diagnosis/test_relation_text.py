@@ -11,7 +11,14 @@ from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
 from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
-from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where, only_unknown
+from stillcal.calib_core.diagnosis.model.records import (
+    Departure,
+    Evidence,
+    Finding,
+    Parameter,
+    Where,
+    only_unknown,
+)
 from stillcal.replay.diagnosis.answer import _finding
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor
@@ -220,3 +227,17 @@ def test_a_daemons_user_is_told_of_the_sensor_and_of_no_simulation() -> None:
     )
     assert "it follows time since start" in of_sensor("unknown", "gyro")
     assert of_sensor("gyro_warmup", "gyro", assumption="So it is.").endswith(" So it is.")
+
+
+def test_a_form_that_is_not_kept_is_told_with_its_part_and_its_probability() -> None:
+    where = Where(0.0, 1.0, (0.0, 0.05), "charging")
+    sizes = {"step": Parameter([1e-3, 0.0, 0.0], [[9e-4, 2e-3]] * 3, "rad/s")}
+    for departure in (None, Departure(9.0, 0.31, "not all at once")):
+        found = Finding("gyro_charging_bias", "gyro", ["x"], where, sizes, Evidence(30.0), [], "", departure)
+        one = Discrepancy("gyro_charging_bias", "gyro", ["x"], where, "lacking", 0.99, 30.0, recorded=found)
+        said = _finding(one, ("real.csv", BUILT_IN), {}, None)
+        assert ("the effect goes not all at once, which makes 31 % of its size" in said["statement"]) == bool(
+            departure
+        )
+        assert ("departure" in said) == bool(departure)
+        assert departure is None or said["departure"]["probability"] > 0.99
