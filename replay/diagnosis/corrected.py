@@ -1,7 +1,7 @@
 """A simulated recording with the differences that were found put into its samples.
 
 What an effect adds is its response in the catalogue, at samples that exist already.
-A low-pass filters them, or takes the place of the one that they have; a delay reads them that much later.
+A low-pass filters them, or takes the place of the one that they have; a delay stamps them that much later.
 What cannot be put into samples (another rate, less noise) is left out and named.
 """
 
@@ -31,7 +31,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.diagnosis.slow.taken_off import Known
 from stillcal.calib_core.streams.events import Charging
-from stillcal.calib_core.streams.resample import read_later, temperature_at
+from stillcal.calib_core.streams.resample import temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.judged import bins_of, charging_events, claims_of
@@ -194,9 +194,13 @@ def _moves(one: Discrepancy) -> bool:
 
 
 def _moved(samples: Samples, one: Discrepancy) -> Samples:
-    """Return the samples read later by a delay, or behind the recording's low-pass."""
+    """Return the samples with a delay in their stamps, or behind the recording's low-pass.
+
+    What was read is stamped later. Values between the samples would be means of their noise, and means of two
+    look like a low-pass, which delays by as much.
+    """
     if one.effect == DELAY:
-        return read_later(samples, _delay(one))
+        return replace(samples, t=frozen(samples.t + _delay(one)))
     assert one.difference is not None, "a low-pass is measured in both"
     return low_passed(samples, one.difference.recorded, one.difference.simulated)
 
