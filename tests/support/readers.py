@@ -8,7 +8,6 @@ again.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
@@ -20,6 +19,7 @@ from rosbags.rosbag2 import StoragePlugin
 from stillcal.replay.formats.trace import Recording, open_trace, read_all
 from stillcal.replay.studies.claim import table
 from tests.support import log_files as made
+from tests.support.command_line import ran
 
 GGIR = "wadpac/GGIRread (Apache-2.0)"
 REAL = {
@@ -120,13 +120,11 @@ def real_row(folder: Path, name: str) -> tuple[str, ...]:
 
 def calibration(path: Path) -> str:
     """Return what the command answers: attitudes and what is left at rest, or why there is no calibration."""
-    run = "from stillcal.daemon.cli.entry import main; main()"
-    command = [sys.executable, "-c", run, *COMMAND, str(path), "--quiet", "--json", "-"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = ran(*COMMAND, path, "--quiet", "--json", "-")
     if done.returncode == 0:
         fit = json.loads(done.stdout)["accelerometer"]
         return f"{fit['n_states']} attitudes, {fit['rms_residual']:.4f} m/s² rms"
-    said = done.stderr.strip().splitlines()[-1]
+    said = done.stderr.decode().strip().splitlines()[-1]
     return said.partition(": no calibration: ")[2].partition(";")[0] or said
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +19,7 @@ from stillcal.replay.export.imu import noise_of
 from stillcal.replay.formats.covariates import read_covariates
 from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.phone.phone import load_phone
+from tests.support.command_line import ran
 
 RATE_HZ = 20.0
 
@@ -66,11 +65,9 @@ def write(path: Path, t: Array, force: Array, rate: Array, logged: dict[str, Any
 
 
 def run(*words: object) -> tuple[int, str]:
-    """Run the command in a process of its own, as a user does; return exit code and output."""
-    program = "from stillcal.daemon.cli.entry import main; main()"
-    command = [sys.executable, "-c", program, "diagnose", *map(str, words)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    return done.returncode, done.stdout + done.stderr
+    """Run the command; return exit code and output."""
+    done = ran("diagnose", *words)
+    return done.returncode, (done.stdout + done.stderr).decode()
 
 
 def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, tmp_path: Path) -> None:

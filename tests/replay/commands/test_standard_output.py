@@ -20,12 +20,9 @@ from stillcal.replay.commands.store_files import import_command
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.outcome import current_in_store
+from tests.support.command_line import ran
 
 STILLCAL = str(Path(sys.executable).with_name("stillcal"))
-
-
-def ran(*words: object, given: bytes = b"") -> subprocess.CompletedProcess[bytes]:
-    return subprocess.run([STILLCAL, *map(str, words)], input=given, capture_output=True, check=False)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,14 @@ from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.formats.writer import TraceWriter
 from stillcal.replay.phone.phone import Phone
-from tests.support.report_days import TONE, phone_with, recorded
+from tests.support import report_days
+from tests.support.report_days import PART_S, TONE, phone_with
 
 SLOPE = np.array([0.006, 0.0, -0.005])
+
+SHORT_S, BRIEF_S = 200.0, 90.0
+"""s, of the four parts of most recordings here, and of those that are only passed through a command or whose
+noise is clear at once. What takes longer to show has the length of the report's days."""
 
 
 def named(recording: Recording, name: str) -> Recording:
@@ -44,16 +49,19 @@ def changed(phone: Phone, sensor: str, **values: Any) -> Phone:
     return msgspec.structs.replace(phone, **{sensor: settings})
 
 
-@cache
-def real(share: float = 1.0) -> Recording:
-    effects = [thermal(share)] if share else []
-    return named(recorded(phone_with(*effects), 3), "real.csv")
+recorded = partial(report_days.recorded, part_s=SHORT_S)
 
 
 @cache
-def simulated(share: float) -> Recording:
+def real(share: float = 1.0, part_s: float = SHORT_S) -> Recording:
     effects = [thermal(share)] if share else []
-    return named(recorded(phone_with(*effects), 8), "sim.csv")
+    return named(recorded(phone_with(*effects), 3, part_s=part_s), "real.csv")
+
+
+@cache
+def simulated(share: float, part_s: float = SHORT_S) -> Recording:
+    effects = [thermal(share)] if share else []
+    return named(recorded(phone_with(*effects), 8, part_s=part_s), "sim.csv")
 
 
 examination = cache(examined)
@@ -94,7 +102,7 @@ def holds(parameter: Mapping[str, Any], truth: np.ndarray) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize(("share", "relation"), [(0.5, "too_small"), (1.5, "too_large")])
 def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relation: str) -> None:
-    finding = only(answer(real(), simulated(share)))
+    finding = only(compared(real(), simulated(share)))
     assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", relation)
     assert holds(finding["difference"]["slope"], (1.0 - share) * SLOPE)
     assert holds(finding["parameters"]["slope"], SLOPE)
@@ -136,12 +144,11 @@ def test_a_bias_that_differs_for_another_reason_is_stated_at_the_recordings_mean
 @pytest.mark.slow
 def test_a_step_that_the_recording_alone_has_makes_no_bias_besides() -> None:
     """The levels before and after it were averaged, and the mean was another bias than the simulation has."""
-    still = real(0.0).accelerometer
-    assert still is not None
+    steady, simulation = real(0.0, PART_S), simulated(0.0, PART_S)
+    still = steady.accelerometer
     force = np.array(still.xyz)
     force[still.t > 500.0, 2] += 334 * STANDARD / 8192.0  # 0.4 m/s^2, in whole steps of the values
-    stepped = replace(real(0.0), accelerometer=replace(still, xyz=frozen(force)))
-    finding = only(compared(stepped, simulated(0.0)))
+    finding = only(compared(replace(steady, accelerometer=replace(still, xyz=frozen(force))), simulation))
     assert (finding["effect"], finding["relation"]) == ("accel_bias_step", "lacking")
 
 
@@ -162,8 +169,8 @@ def test_a_simulation_at_one_temperature_is_compared_at_that_one() -> None:
 def test_a_time_constant_that_the_simulation_has_not_is_the_recordings_with_its_interval() -> None:
     """The amplitude was that at a coarse grid point, and nothing told the time constant."""
     settling = {"name": "accel_warmup", "amplitude": [0.05, -0.03, 0.0], "tau_s": 170.0}
-    real = named(recorded(phone_with(settling), 3), "real.csv")
-    finding = only(compared(real, simulated(0.0)))
+    real = named(report_days.recorded(phone_with(settling), 3), "real.csv")
+    finding = only(compared(real, simulated(0.0, PART_S)))
     assert (finding["effect"], finding["relation"]) == ("accel_warmup", "lacking")
     assert finding["reference"]["tau_s"] == pytest.approx(finding["parameters"]["tau_s"]["value"], rel=0.1)
     low, high = finding["parameters"]["tau_s"]["ci95"]
@@ -284,7 +291,8 @@ def test_a_simulation_without_noise_lacks_it() -> None:
     phone = phone_with()
     quiet = type(phone.accel.noise)()
     silent = changed(changed(phone, "accel", noise=quiet, lsb=0.0), "gyro", noise=quiet, lsb=0.0)
-    found = compared(recorded(phone, 3), recorded(silent, 8))["findings"]
+    made = (recorded(one, seed, part_s=BRIEF_S) for one, seed in ((phone, 3), (silent, 8)))
+    found = compared(*made)["findings"]
     lacking = {(f["effect"], f["sensor"]): f for f in found if f["relation"] == "lacking"}
     assert {("noise_level", "accel"), ("noise_level", "gyro")} <= lacking.keys()
     level = lacking["noise_level", "gyro"]
@@ -297,7 +305,7 @@ def blind(recording: Recording) -> Recording:
 
 @pytest.mark.slow
 def test_a_steady_simulation_without_a_thermometer_lacks_what_follows_temperature() -> None:
-    said = answer(real(), blind(simulated(0.0)))
+    said = answer(real(1.0, PART_S), blind(simulated(0.0, PART_S)))
     finding = only(said)
     assert (finding["effect"], finding["relation"]) == ("accel_bias_temperature", "lacking")
     assert (
@@ -310,7 +318,7 @@ def test_a_steady_simulation_without_a_thermometer_lacks_what_follows_temperatur
 
 @pytest.mark.slow
 def test_what_cannot_be_compared_is_said_with_its_reason() -> None:
-    said = answer(replace(recorded(phone_with(thermal(1.0)), 3), name="real.csv"), blind(simulated(1.0)))
+    said = compared(replace(recorded(phone_with(thermal(1.0)), 3), name="real.csv"), blind(simulated(1.0)))
     reasons = {(n["effect"], n["sensor"]): n["reason"] for n in said["not_compared"]}
     assert reasons["gyro_bias", "gyro"] == "sim.csv: no gyroscope"
     assert reasons["accel_bias_temperature", "accel"] == "sim.csv: no temperature"
@@ -406,7 +414,7 @@ def test_the_command_judges_and_fails_where_it_is_asked_to(written: Any, tmp_pat
 
 
 def test_a_recording_given_as_its_own_simulation_is_said_so(written: Any) -> None:
-    trace = written(real(0.0), "real.csv")
+    trace = written(real(0.0, BRIEF_S), "real.csv")
     done = run(trace, "--simulated", trace)
     assert done.exit_code == 0
     assert "real.csv holds the very samples of real.csv: it is compared with itself" in done.stderr

@@ -44,9 +44,15 @@ def day_of(seed: int, rests: int = 20, seconds: int = 3600) -> tuple[np.random.G
     return rng, day
 
 
+SECONDS = 2400
+"""Of days on which nothing is wrong, or what is put in is large; else they have an hour."""
+
+
 @cache
-def found(sensor: str, seed: int, family: str = "white", **kind: object) -> list[Finding]:
-    rng, day = day_of(seed)
+def found(
+    sensor: str, seed: int, family: str = "white", seconds: int = 3600, **kind: object
+) -> list[Finding]:
+    rng, day = day_of(seed, seconds=seconds)
     driver = {"temperature": day.temperature, "charging": day.charging, "warmup": 1 - np.exp(-day.t / 300.0)}
     effect = {k: np.outer(driver[v[0]], v[1]) for k, v in kind.items() if k.endswith("_error")}  # type: ignore[index]
     flags = {k: v for k, v in kind.items() if not k.endswith("_error")}
@@ -59,7 +65,7 @@ def found(sensor: str, seed: int, family: str = "white", **kind: object) -> list
 def test_silent_where_nothing_is_wrong(family: str) -> None:
     """Of days drawn anew, one scene in e^4 = 55 may pass the score; its finding is weighed once more."""
     rng = np.random.default_rng([11, nulls.FAMILIES.index(family) % 2])
-    bins = nulls.bins_of(rng, nulls.schedule(rng), family)
+    bins = nulls.bins_of(rng, nulls.schedule(rng, SECONDS), family)
     for scene in scenes(bins, nulls.G):
         ranked = ranking(scene, effects_of(scene.sensor))
         assert not ranked or ranked[0].score < thresholds.SCORE
@@ -98,7 +104,8 @@ def test_named_with_axes_and_parameters(
 
 
 def test_heat_is_found_without_a_thermometer() -> None:
-    findings = found("accel", 5, "gm50", accel_error=("temperature", (0.01, 0.0, -0.008)), thermometer=False)
+    warm = ("temperature", (0.01, 0.0, -0.008))
+    findings = found("accel", 5, "gm50", SECONDS, accel_error=warm, thermometer=False)
     assert findings[0].effect == "thermal_latent"
     assert set(findings[0].axes) == {"x", "z"}
     assert "tau_s" in findings[0].parameters
@@ -114,7 +121,7 @@ def test_heat_of_use_needs_use_that_shows() -> None:
 
 
 def test_a_thermometer_that_does_nothing_raises_no_alarm() -> None:
-    assert found("accel", 8, "flicker") == []
+    assert found("accel", 8, "flicker", SECONDS) == []
 
 
 def test_a_finding_encodes_to_the_documented_structure() -> None:
