@@ -40,6 +40,8 @@ def concluded(
         for (finding, of_recording), odds in judged
         if not is_sure(finding, odds)
     ]
+    agreed = [d for d in compared if d.agrees and worth_telling(d, had)]
+    hidden = [d for d in agreed if key_of(d) in had and _of_one_alone(d)]
     found = [
         *(discrepancy(d) for d in compared if differs(d)),
         *(sole_discrepancy(*one) for one in sure),
@@ -47,10 +49,14 @@ def concluded(
     evidence = [(d.recorded.effect, d.log_bayes_factor) for d in compared]
     return Comparison(
         discrepancies=sorted(found, key=lambda d: -d.log_bayes_factor),
-        agreed=with_unequal([d for d in compared if d.agrees and worth_telling(d, had)]),
+        agreed=with_unequal([d for d in agreed if d not in hidden]),
         compared=compared,
         not_compared=missing,
-        undecided=[*(undecided(d, names) for d in compared if not d.agrees and not differs(d)), *unsure],
+        undecided=[
+            *(undecided(d, names) for d in compared if not d.agrees and not differs(d)),
+            *(_perhaps_absent(d, names) for d in hidden),
+            *unsure,
+        ],
         comparisons=checks,
         evidence=[*evidence, *((f.effect, f.evidence.log_bayes_factor) for f, _ in alone)],
     )
@@ -77,6 +83,22 @@ def worth_telling(difference: Difference, had: Set[Key]) -> bool:
     if difference.recorded.none and difference.simulated.none:
         return False
     return difference.recorded.logarithmic or key_of(difference) in had or difference.recorded.shows()
+
+
+def _of_one_alone(difference: Difference) -> bool:
+    """Whether one recording shows an effect and the other one does not.
+
+    Their difference may be no larger than its error and agree with none: that says how little the other shows
+    where its interval holds nothing as well.
+    """
+    return difference.recorded.shows() != difference.simulated.shows()
+
+
+def _perhaps_absent(difference: Difference, names: tuple[str, str]) -> NotCompared:
+    """Return an effect of one recording that the other may have as well as not."""
+    has, other = names if difference.recorded.shows() else names[::-1]
+    why = f"{other}: it does not tell whether it has it, as {has} does, or has none"
+    return NotCompared(*key_of(difference), why, difference.probability)
 
 
 def undecided(difference: Difference, names: tuple[str, str]) -> NotCompared:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.comparison.stated import concluded
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
@@ -39,3 +41,32 @@ def test_what_left_out_parts_contradict_is_undecided_and_says_why() -> None:
 def test_what_is_not_sure_is_undecided_with_its_probability(of_recording: bool, who: str) -> None:
     (undecided,) = judged(2.0, 2.0, of_recording=of_recording).undecided
     assert undecided.reason.startswith(f"{who} does not decide it: probability 0.")
+
+
+def slope(value: float, error: float) -> Quantity:
+    """Return a slope in temperature as one recording shows it, rad/s/K."""
+    one = np.ones(1)
+    return Quantity(
+        "gyro_bias_temperature", "gyro", (Part("slope", "rad/s/K", 1),), value * one, np.array([[error**2]]),
+        2e-3 * one, 1e-9 * one, np.zeros(1, dtype=np.int64), where=Where(0.0, 600.0, (0.0, 0.05), "temperature"),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("recorded", "simulated", "reason"),
+    [
+        (slope(4e-4, 1e-5), slope(-1e-4, 4e-4), "sim.csv: it does not tell whether it has it, as real.csv"),
+        (slope(-1e-4, 4e-4), slope(4e-4, 1e-5), "real.csv: it does not tell whether it has it, as sim.csv"),
+        (slope(4e-4, 1e-5), slope(4.1e-4, 1e-5), None),
+    ],
+)
+def test_an_effect_that_only_one_of_the_two_shows_is_no_agreement(
+    recorded: Quantity, simulated: Quantity, reason: str | None
+) -> None:
+    """The difference is within its error: an interval that holds no slope as well says nothing."""
+    (pair,) = weighed([subtract(recorded, simulated)], 20)
+    assert pair.agrees
+    said = concluded([pair], [], [], NAMES, among=20, checks=20, had={("gyro_bias_temperature", "gyro")})
+    assert said.discrepancies == []
+    assert len(said.agreed) == (reason is None)
+    assert [one.reason.startswith(reason or "") for one in said.undecided] == [True] * (reason is not None)
