@@ -48,7 +48,8 @@ def slope(value: float, error: float) -> Quantity:
     one = np.ones(1)
     return Quantity(
         "gyro_bias_temperature", "gyro", (Part("slope", "rad/s/K", 1),), value * one, np.array([[error**2]]),
-        2e-3 * one, 1e-9 * one, np.zeros(1, dtype=np.int64), where=Where(0.0, 600.0, (0.0, 0.05), "temperature"),
+        2e-3 * one, 1e-9 * one, np.zeros(1, dtype=np.int64),
+        where=Where(0.0, 600.0, (0.0, 0.05), "temperature"),
     )  # fmt: skip
 
 
