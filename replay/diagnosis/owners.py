@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.pair.vote import shares
+from stillcal.calib_core.diagnosis.comparison.pair.vote import nats_of, shares, shown_alone
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
@@ -87,7 +87,7 @@ def owners_of(
             compared = [scenes[k] for k in of_kind] if len(of_kind) > 2 else []
             its = [next(s for s in each if s.sensor == one.sensor) for each in compared]
             said = next((s for s in stated if s.finding is one.recorded), None)
-            nats = np.array([max((_nats(f, one) for f in each), default=0.0) for each in alone])[of_kind]
+            nats = np.array([nats_of(shown_alone(each, one)) for each in alone])[of_kind]
             beside = [s for s in stated if s.finding.sensor == one.sensor]
             told = Stated(one.recorded) if said is None and one.recorded is not None else said
             assert told is not None, "what is found in a pair is a finding"
@@ -99,7 +99,7 @@ def owners_of(
     owned = vote([()] * len(recordings))
     if all(one.owner is not None for one in owned):
         return owned
-    return vote([_alone(one) for one in recordings])
+    return vote([findings_alone(one) for one in recordings])
 
 
 def _having(recordings: Sequence[Recording], sensor: str) -> list[int]:
@@ -107,20 +107,12 @@ def _having(recordings: Sequence[Recording], sensor: str) -> list[int]:
     return [k for k, r in enumerate(recordings) if sensor != "gyro" or r.gyroscope is not None]
 
 
-def _alone(recording: Recording) -> list[Finding]:
+def findings_alone(recording: Recording) -> list[Finding]:
     """Return what a recording shows by itself, at rest; nothing where it has too little of that."""
     try:
         return [s.finding for s in examined(recording).statements]
     except NotSupported:
         return []
-
-
-def _nats(finding: Finding, found: Discrepancy) -> float:
-    """Return what speaks for an effect in one recording by itself, nats; 0 for another effect."""
-    alike = (finding.effect, finding.sensor) == (found.effect, found.sensor)
-    if found.effect == "unknown":
-        alike = alike and finding.where.driver == found.where.driver
-    return max(finding.evidence.log_bayes_factor, 0.0) if alike else 0.0
 
 
 def tell_owners(answer: dict[str, Any], before: Comparison, owned: Sequence[Owned]) -> None:

@@ -19,7 +19,10 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
-from stillcal.calib_core.diagnosis.comparison.pair.stands import with_own_of_simulation
+from stillcal.calib_core.diagnosis.comparison.pair.stands import (
+    with_own_of_simulation,
+    with_owner_of_unknown,
+)
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
@@ -39,6 +42,7 @@ from stillcal.replay.diagnosis.judged import (
     refuse_short,
     silent,
 )
+from stillcal.replay.diagnosis.owners import findings_alone
 from stillcal.replay.formats.trace import Recording
 
 SAME_STAMP = 0.1
@@ -71,6 +75,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0, motion.added)
     exam = examined_in_pair(recorded, bins, scenes, motion.found, lambda done: show_stage(READINGS, done))
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
+    if any(d.effect == "unknown" for d in slow.discrepancies):
+        slow = with_owner_of_unknown(slow, findings_alone(recording), findings_alone(simulation))
     before = slow.and_of(values)
     fit = Fit.of(before, before)
     if before.discrepancies:

@@ -64,6 +64,7 @@ RELATIONS = {
     "too_small": "it differs from that of {}",
     "too_large": "it differs from that of {}",
     "superfluous": "only {} has it",
+    "of_either": "the recording or {} has it, which is not known",
 }
 
 SIDES = ("parameters", "simulated", "difference")

@@ -87,6 +87,8 @@ def _clear(parameter: Mapping[str, Any]) -> list[int]:
     return np.flatnonzero(values > AXIS_SIGMA / NORMAL_95 * half).tolist()
 
 
+OF_EITHER = "Which of the two has it is not known, as neither alone shows it clearly more than the other."
+
 SCALES = ("accel_scale", "gyro_scale")
 CONSTANTS = ("accel_bias", "gyro_bias", *SCALES)
 OF_CORRECTION = (
@@ -163,10 +165,14 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
     name = _clearest(finding)
     relation = finding["relation"]
     if finding["effect"] == "unknown":
-        owner, other = (recording, simulation) if relation == "lacking" else (simulation, recording)
-        side = "parameters" if relation == "lacking" else "simulated"
+        superfluous = relation == "superfluous"
+        owner, other = (simulation, recording) if superfluous else (recording, simulation)
+        side = "simulated" if superfluous else "parameters"
         seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
         driver = finding["where"]["driver"]
+        if relation == "of_either":
+            differ = f"{recording} and {simulation} differ by {what}{seen}; it follows {driver}."
+            return " ".join(filter(None, (differ, observed, OF_EITHER)))
         shows = f"{owner} shows {what}{seen}; it follows {driver}."
         return " ".join(filter(None, (shows, observed, f"{other} does not show it.")))
     if relation == "lacking" and finding["effect"] in CONSTANTS:

@@ -1,7 +1,8 @@
 """How a simulation of the same motion stands to the recording: what it has by itself of what they differ by.
 
 The difference of the readings says by how much the two differ, and not which of them has the effect. The
-simulation's own rests and turns say what it has; the recording has that and the difference.
+simulation's own rests and turns say what it has; the recording has that and the difference. Something
+without a name is the one's that shows it by itself, else it may be of either.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     kind_of,
     wanted_of,
 )
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.pair.vote import nats_of, shares_alone, shown_alone
+from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
+from stillcal.calib_core.diagnosis.model.records import Finding
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
@@ -43,6 +46,30 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
     own = every_linear_quantity(simulated, wanted, _references(differences))
     own += delay_quantity(simulated).values()
     return replace(found, discrepancies=[_standing(d, own) for d in found.discrepancies])
+
+
+def with_owner_of_unknown(
+    found: Comparison, recorded: Sequence[Finding], simulated: Sequence[Finding]
+) -> Comparison:
+    """Return a comparison that says whose each difference without a name is, or that this is not known.
+
+    recorded, simulated: what each of the two shows by itself.
+    """
+    return replace(found, discrepancies=[_owned(d, recorded, simulated) for d in found.discrepancies])
+
+
+def _owned(one: Discrepancy, recorded: Sequence[Finding], simulated: Sequence[Finding]) -> Discrepancy:
+    """Return a difference without a name as the recording's, the simulation's, or that of either."""
+    if one.effect != "unknown":
+        return one
+    own, other = shown_alone(recorded, one), shown_alone(simulated, one)
+    of_recording, of_simulation = shares_alone(np.array([nats_of(own), nats_of(other)]))
+    if other is not None and of_simulation >= CERTAIN:
+        return replace(
+            one, relation="superfluous", axes=list(other.axes), where=other.where,
+            recorded=None, simulated=other,
+        )  # fmt: skip
+    return one if of_recording >= CERTAIN else replace(one, relation="of_either")
 
 
 def _at_moments(exam: Examination) -> list[Wanted]:

@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrep
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 from stillcal.calib_core.diagnosis.slow.wander import wander
@@ -34,7 +35,29 @@ def shares(stated: Stated, beside: Sequence[Stated], scenes: Sequence[Scene], al
     nats = alone.copy()
     if scenes:
         nats = nats + np.array([_speaks_for(stated, scene, others) for scene in scenes])
+    return shares_alone(nats)
+
+
+def shares_alone(nats: Array) -> Array:
+    """Return how likely an effect is each sensor's (m,), by what speaks for that (m,), nats."""
     return np.asarray(np.exp(nats - log_sum(nats)))
+
+
+def shown_alone(findings: Sequence[Finding], found: Discrepancy) -> Finding | None:
+    """Return what one sensor shows by itself of an effect, where that speaks for it; None for other effects.
+
+    Something without a name is the same effect where it follows the same.
+    """
+    alike = [f for f in findings if (f.effect, f.sensor) == (found.effect, found.sensor)]
+    if found.effect == "unknown":
+        alike = [f for f in alike if f.where.driver == found.where.driver]
+    clearest = max(alike, key=lambda f: f.evidence.log_bayes_factor, default=None)
+    return clearest if clearest is not None and clearest.evidence.log_bayes_factor > 0.0 else None
+
+
+def nats_of(finding: Finding | None) -> float:
+    """Return the evidence of what a sensor shows by itself, nats; 0 where it shows nothing."""
+    return 0.0 if finding is None else finding.evidence.log_bayes_factor
 
 
 def _speaks_for(stated: Stated, scene: Scene, others: Sequence[Hypothesis]) -> float:
