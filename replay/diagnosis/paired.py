@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     without_equation,
     without_found,
 )
+from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, shared_as_it_is
 from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.stands import (
@@ -55,12 +56,13 @@ AGAIN = "comparing again, without what was found"
 def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Judge a recording less a simulation of the same motion at the same stamps.
 
-    Values and noise at rest are those of either, and compared as such. Raises UserError where stamps differ,
-    NotSupported on too little data.
+    Values and noise at rest are those of either, and compared as such. Raises UserError where stamps or the
+    motion differ, NotSupported on too little data.
     """
     refuse_itself(recording, [simulation])
     _refuse_other_stamps(recording, simulation)
     refuse_short(recording, simulation)
+    _refuse_other_motion(recording, simulation)
     recorded = examined(recording, show_stage, search=False)
     simulated = examined(simulation, show_stage, search=False)
     exams, names = (recorded, simulated), (recording.name, simulation.name)
@@ -184,6 +186,17 @@ def _refuse_other_stamps(recording: Recording, simulation: Recording) -> None:
         raise UserError(
             f"{simulation.name}: {why} as in {recording.name}; --paired needs the same motion at the same"
             " stamps, leave it out for any other motion"
+        )
+
+
+def _refuse_other_motion(recording: Recording, simulation: Recording) -> None:
+    """Raise UserError where a simulation moves otherwise, by the rule for a witness on another body."""
+    shared = shared_as_it_is(readings_of(recording), readings_of(simulation))
+    if shared is not None and shared < SHARED:
+        raise UserError(
+            f"{simulation.name}: is of another motion than {recording.name}, late against it or in other"
+            f" axes: it shares {max(shared, 0.0):.0%} of the motion, and at least {SHARED:.0%} is needed;"
+            " leave --paired out for any other motion"
         )
 
 

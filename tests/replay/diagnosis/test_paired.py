@@ -260,6 +260,19 @@ def test_other_stamps_are_refused_with_the_first_that_differs() -> None:
         judge_paired(real, short)
 
 
+def test_another_motion_and_values_that_are_late_are_refused() -> None:
+    real = turned(1)
+    with pytest.raises(UserError, match=r"3.csv: is of another motion .* shares \d+% of the motion"):
+        judge_paired(real, turned(3, motion=1))
+
+    def late(samples: Samples) -> Samples:
+        return replace(samples, xyz=frozen(np.roll(samples.xyz, 25, axis=0)))
+
+    sim = with_rate(turned(2), late)
+    with pytest.raises(UserError, match=r"2.csv: is of another motion .* late against it"):
+        judge_paired(real, replace(sim, accelerometer=late(sim.accelerometer)))
+
+
 def test_a_short_pair_is_too_little_data() -> None:
     def brief(one: Recording) -> Recording:
         assert one.gyroscope is not None

@@ -173,6 +173,13 @@ def mounting(own: Readings, other: Readings) -> Mounting | None:
     )
 
 
+def shared_as_it_is(own: Readings, other: Readings) -> float | None:
+    """Return the part of the motion that another reads at the same stamps and axes; None without motion."""
+    both = _both(own, other)
+    unmoved = Clock(float(own.force.t.mean()), float(np.ptp(own.force.t)) / 2.0)
+    return _shared(both, np.eye(3), unmoved, 0.0) if any(one.pieces for one in both) else None
+
+
 def _both(own: Readings, other: Readings) -> list[_Both]:
     """Return what both have, the gyroscopes first, at even stamps."""
     out: list[_Both] = []
