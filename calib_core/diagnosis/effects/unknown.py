@@ -6,6 +6,7 @@ They name no physics; where one of them wins, the answer says what is followed a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -16,7 +17,7 @@ from stillcal.calib_core.diagnosis.effects.bias import SIZE
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, seen_in
 from stillcal.calib_core.diagnosis.effects.by_rate import TURN_PENALTY
 from stillcal.calib_core.diagnosis.effects.temperature import known
-from stillcal.calib_core.diagnosis.effects.timed import DRIFT_PENALTY
+from stillcal.calib_core.diagnosis.effects.timed import DRIFT_PENALTY, Step
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS, relaxation
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import (
@@ -45,7 +46,6 @@ HEATING_WIDTHS = (0.0, 60.0, 200.0)
 SHAKEN = "vibration power"
 """What is followed by structure that goes with how much the device is shaken."""
 
-STRETCH_CUTS = 14
 OF_JUMPS = (curves.pulses, curves.switches)
 """Dictionaries whose courses are several jumps."""
 
@@ -218,22 +218,46 @@ class GainInStretch(Unknown):
         super().__init__("accel", "own force in a stretch of time", GAIN)
 
     def points(self, moments: Moments) -> Sequence[Grid]:
-        """Return stretches that hold some bins and leave some out."""
-        if not seen_in(moments, 4):
-            return []
-        cuts = np.linspace(*moments.history.span, STRETCH_CUTS)
-        t, found = moments.t, []
-        for i, a in enumerate(cuts):
-            for b in cuts[i + 1 :]:
-                if 2 < ((t >= a) & (t < b)).sum() < t.size - 2:
-                    found.append({"t_start": float(a), "t_end": float(b)})
-        return found
+        """Return none: the stretches are a dictionary."""
+        return []
+
+    def dictionary(self, moments: Moments) -> Dictionary | None:
+        """Return the stretches in which a bias may be another, where attitudes suffice."""
+        return _of_force(curves.pulses(moments), moments)
+
+
+class GainFromMoment(Unknown):
+    """Another gain of each axis from a moment on: at the moments at which a bias may jump."""
+
+    what = "gain"
+    blind = BLOCKS_ACROSS
+    grid_units = {"t_start": "s"}  # noqa: RUF012 - a constant of the class
+
+    def __init__(self) -> None:
+        super().__init__("accel", "own force from a moment on", GAIN)
+        self.jump = Step("accel")
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return none: the moments are a dictionary."""
+        return []
+
+    def dictionary(self, moments: Moments) -> Dictionary | None:
+        """Return the moments at which a bias may jump, where attitudes suffice."""
+        return _of_force(self.jump.dictionary(moments), moments)
+
+    def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
+        """Return moments near one, more finely."""
+        return self.jump.finer(moments, grid)
 
     def response(self, moments: Moments, grid: Grid) -> Array:
-        """Return the force on each axis within the stretch."""
+        """Return the force on each axis after the moment."""
         assert moments.force is not None, "no grid points without it"
-        inside = (moments.t >= grid["t_start"]) & (moments.t < grid["t_end"])
-        return on_axes(moments.force * inside[:, None])
+        return on_axes(moments.force * self.jump.curve(moments, grid)[:, None])
+
+
+def _of_force(many: Dictionary | None, moments: Moments) -> Dictionary | None:
+    """Return a dictionary of biases as one of gains; None where attitudes are too few."""
+    return None if many is None or not seen_in(moments, 4) else replace(many, driven=moments.force)
 
 
 class GainInTime(Unknown):
@@ -343,7 +367,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
         AttitudeSquared(sensor),
     ]
     if sensor == "accel":
-        own += [ForceCurve(), GainBySign(), GainInStretch(), GainInTime(), CrossedForce()]
+        own += [ForceCurve(), GainBySign(), GainInStretch(), GainFromMoment(), GainInTime(), CrossedForce()]
     else:
         own += [GainByDirection(), GainInTurns()]
     many = (

@@ -44,7 +44,8 @@ class Dictionary:
     curves: (K, q, n), each hypothesis q curves on every axis; grids: one grid point a hypothesis;
     multiplicity: how many of them are independent, about. pairs: (P, 2), if given the hypotheses are
     differences of two curves, not the curves. switching: the hypotheses are any courses between two levels
-    that change at the borders, whose steps the curves are.
+    that change at the borders, whose steps the curves are. driven: (n, 3) what the curves are multiplied by
+    on each axis, the force for a gain; None for a bias.
     """
 
     grids: list[Grid]
@@ -52,6 +53,7 @@ class Dictionary:
     multiplicity: int
     pairs: NDArray[np.int64] | None = None
     switching: bool = False
+    driven: Array | None = None
 
     def curve(self, k: int) -> Array:
         """Return the curves (q, n) of hypothesis `k`."""

@@ -62,7 +62,7 @@ def screened(
 
 def hypothesis(effect: Effect, scene: Scene, many: Dictionary, k: int) -> Hypothesis:
     """Return curve number `k` of a dictionary as a hypothesis, its curves on each axis one after another."""
-    columns = tuple(_columns(v, many.curve(k)[None]) for v in scene.views)
+    columns = tuple(_columns(v, many.curve(k)[None], many.driven) for v in scene.views)
     return Hypothesis(effect, many.grids[k], columns, many.multiplicity)
 
 
@@ -87,12 +87,16 @@ def _switching(
     return made
 
 
-def _columns(view: View, curves: Array) -> Array:
-    """Columns (b, n, K q 3) of a bias that follows curves (K, q, N) on each axis; none where phones tilt."""
+def _columns(view: View, curves: Array, driven: Array | None = None) -> Array:
+    """Return columns (b, n, K q 3) of a bias by curves (K, q, N) on each axis; none where phones tilt.
+
+    driven: (N, 3) what multiplies the curves on each axis.
+    """
     if view.name in BLOCKS_ACROSS:
         return np.zeros((*view.y.shape, 3 * curves.shape[0] * curves.shape[1]))
     at = curves[:, :, view.bins].reshape(-1, view.bins.size).T
-    made = at[None, :, :, None] * view.project[:, :, None, :]
+    project = view.project if driven is None else view.project * driven[view.bins]
+    made = at[None, :, :, None] * project[:, :, None, :]
     return np.asarray(made.reshape(*view.y.shape, -1))
 
 
@@ -146,7 +150,7 @@ def _gains(views: Sequence[_Whitened], many: Dictionary, c: int, size: float) ->
         curves = many.curves[first : first + CHUNK]
         gram, target = np.zeros((len(curves), width, width)), np.zeros((len(curves), width))
         for view in views:
-            xy, x, scale = view.sums(_columns(view.view, curves) * size, c)
+            xy, x, scale = view.sums(_columns(view.view, curves, many.driven) * size, c)
             parts = x.reshape(len(x), len(curves), width)
             gram += parts.transpose(1, 2, 0) @ parts.transpose(1, 0, 2) / scale
             target += xy.reshape(len(curves), width) / scale
@@ -159,7 +163,7 @@ def _inner(views: Sequence[_Whitened], many: Dictionary, c: int, size: float) ->
     count = len(many.curves)
     gram, target, power = np.zeros((count, 3, count, 3)), np.zeros((count, 3)), 0.0
     for view in views:
-        xy, x, scale = view.sums(_columns(view.view, many.curves) * size, c)
+        xy, x, scale = view.sums(_columns(view.view, many.curves, many.driven) * size, c)
         power += len(x)
         gram += (x.T @ x).reshape(count, 3, count, 3) / scale
         target += xy.reshape(count, 3) / scale

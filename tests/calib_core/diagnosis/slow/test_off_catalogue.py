@@ -97,6 +97,24 @@ def test_a_gain_that_differs_by_sign_is_no_square_of_the_force(
     assert (step.winner.hypothesis.effect.name == "accel_nonlinearity") == named
 
 
+@pytest.mark.parametrize("by_force", [True, False])
+def test_a_gain_that_changes_once_is_no_step_of_the_bias(by_force: bool) -> None:
+    """In a dozen attitudes a step and a nonlinearity were named for it: the grid had not its moment."""
+    rng, day = np.random.default_rng(3), short_day(6)
+    day = nulls.Day(*(x[:600] for x in (day.t, day.rest, day.up, day.temperature, day.charging)))
+    day.rest[:] = np.where(day.t % 50.0 < 45.0, day.t // 50.0, -1)
+    day.up[:] = nulls.random_attitudes(rng, 12)[day.rest]
+    change = 0.02 * nulls.G * day.up if by_force else np.full((600, 3), [0.12, -0.05, 0.08])
+    error = change * (day.t >= 333.0)[:, None]
+    bins = nulls.bins_of(rng, day, QUIET, error, thermometer=False, charger=False)
+    scene = scenes(bins, nulls.G)[0]
+    every = effects_of("accel")
+    rivals = [e for e in every if e.name == "accel_bias_step" or getattr(e, "what", "") == "gain"]
+    first = ranking(scene, rivals)[0]
+    assert first.score > 3.0 * thresholds.SCORE
+    assert (first.hypothesis.effect.name == "unknown") == by_force
+
+
 def test_a_cycle_is_unknown_with_its_period() -> None:
     day = short_day(6)
     found = said(6, np.sin(2 * np.pi * day.t / 400.0))
