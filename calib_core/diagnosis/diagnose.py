@@ -33,8 +33,8 @@ from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
-from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
-from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
+from stillcal.calib_core.diagnosis.slow.findings import Stated, turn_statements
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.calib_core.diagnosis.slow.turn_errors import turn_errors
@@ -179,11 +179,12 @@ def examine(
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     residuals = about_nonlinearity(residuals)
     stated = [Stated(f) for f in direct]
-    searched = [r for r in residuals if search and not _is_of(spoiled, r.sensor)]
     progress(MEASURED)
-    for done, scene in enumerate(searched, 1):
-        stated += slow_statements(scene, without)
-        progress(MEASURED + (SEARCHED - MEASURED) * done / len(searched))
+    for done, scene in enumerate(residuals):
+        if search and not _is_of(spoiled, scene.sensor):
+            residuals[done], found = searched(scene, without)
+            stated += found
+        progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(residuals))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
                        exchanged=next((f.sensor for f in (spoiled, turned) if f), ""))  # fmt: skip
     spoilt = [(f.where.t_start, f.where.t_end) for f in gone]

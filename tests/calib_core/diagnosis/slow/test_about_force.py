@@ -1,4 +1,4 @@
-"""A nonlinearity of the accelerometer that is no small part of the force."""
+"""What an accelerometer adds that is no small part of the force: a nonlinearity, a slope in temperature."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import nulls
 
@@ -49,3 +49,30 @@ def test_a_square_of_a_good_part_of_the_force_has_its_name_and_its_size(quadrati
 def test_a_linear_accelerometer_stays_as_it_is() -> None:
     made = scenes(rests(0.0), nulls.G)
     assert about_nonlinearity(made)[0] is made[0] and about_nonlinearity(made)[1] is made[1]
+
+
+SLOPE = np.array([8e-3, -6e-3, 1e-2])
+
+
+def warming(size: float) -> Bins:
+    """Return 15 min of rests in 15 attitudes, warmer by 7 K in the end. size: of a slope in temperature."""
+    rng = np.random.default_rng(SEED)
+    t = np.arange(900.0)
+    rest, left = np.divmod(t.astype(int), 60)
+    warm = 24.0 + 8.0 * (1.0 - np.exp(-t / 360.0))
+    up = nulls.random_attitudes(rng, 15)[rest]
+    day = nulls.Day(t, np.where(left < 55, rest, -1), up, warm, np.zeros(t.size))
+    quiet = {sensor: nulls.Wander() for sensor in nulls.WHITE}
+    return nulls.bins_of(rng, day, quiet, accel_error=size * np.outer(warm - 24.0, SLOPE))
+
+
+def test_a_bias_that_changes_much_leaves_nothing_else_about_the_point_found() -> None:
+    """Linear about the mean bias, a slope of 3 % of gravity in all was a warm-up."""
+    _, (found,) = searched(scenes(warming(4.0), nulls.G)[0])
+    assert found.finding.effect == "accel_bias_temperature"
+    np.testing.assert_allclose(found.finding.parameters["slope"].value, 4.0 * SLOPE, rtol=0.01)
+
+
+def test_a_steady_accelerometer_is_searched_once() -> None:
+    made = scenes(warming(0.0), nulls.G)[0]
+    assert searched(made)[0] is made
