@@ -183,7 +183,7 @@ def _finding(
     if one.effect.endswith("_temperature") and mean_temperature is not None:
         at = {"temperature_c": mean_temperature, "mean_temperature_c": mean_temperature}
         out["reference"] = at | out.get("reference", {})
-    if own is not None and one.relation in ("lacking", "superfluous", "of_either"):
+    if own is not None and one.relation in ("lacking", "superfluous"):
         out["evidence"] |= _held_out(own)
         told = {k: _parameter(p) for k, p in own.parameters.items() if k in GRID_PARAMETERS}
         out["simulated" if one.relation == "superfluous" else "parameters"] |= told
@@ -226,8 +226,8 @@ def _of_one(one: Discrepancy, names: tuple[str, str]) -> dict[str, Any]:
     if one.recorded is None:
         return {"simulated": values, "difference": {k: _negated(v) for k, v in _zeroed(values).items()}}
     out = {"parameters": values, "difference": _zeroed(values)}
-    if one.relation == "of_either":
-        return out
+    if one.of_either:
+        return out | {"of_either": True}
     out["simulated"] = {k: _nothing_of(v) for k, v in _zeroed(values).items()}
     if one.effect == "noise_level" and names[1] == BUILT_IN:
         out["simulated"] = {"ratio": {"value": 1.0, "unit": "1"}}

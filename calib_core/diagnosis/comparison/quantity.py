@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.settings import MODELLED
 
-Relation = Literal["lacking", "too_small", "too_large", "superfluous", "of_either"]
+Relation = Literal["lacking", "too_small", "too_large", "superfluous"]
 
 CERTAIN = 0.95
 """Posterior probability from which a difference is stated, and one minus it from which agreement is."""

@@ -27,6 +27,7 @@ class Discrepancy:
 
     probability: of a difference, against none; log_bayes_factor: nats for it. recorded, simulated: a single
     recording's finding where it comes from one. note: what was assumed, a sentence, "" for nothing.
+    of_either: whether it is not known which of the two has it; the relation is then as if the recording had.
     """
 
     effect: str
@@ -40,6 +41,7 @@ class Discrepancy:
     recorded: Finding | None = None
     simulated: Finding | None = None
     note: str = ""
+    of_either: bool = False
 
     @property
     def true(self) -> float:

@@ -64,8 +64,8 @@ RELATIONS = {
     "too_small": "it differs from that of {}",
     "too_large": "it differs from that of {}",
     "superfluous": "only {} has it",
-    "of_either": "the recording or {} has it, which is not known",
 }
+OF_EITHER = "the recording or {} has it, which is not known"
 
 SIDES = ("parameters", "simulated", "difference")
 
@@ -199,7 +199,8 @@ def _equation(finding: Mapping[str, Any]) -> str:
 def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
     """Return how sure a finding is. start: s, the recording's first stamp."""
     where, evidence = finding["where"], finding["evidence"]
-    relation = RELATIONS[finding["relation"]].format(simulation)
+    either = "of_either" in finding
+    relation = (OF_EITHER if either else RELATIONS[finding["relation"]]).format(simulation)
     text = (
         f"Probability {finding['probability']:.2f} that {relation}. Seen from"
         f" {where['t_start'] - start:.0f} to {where['t_end'] - start:.0f} s"

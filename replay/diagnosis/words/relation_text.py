@@ -170,7 +170,7 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
         side = "simulated" if superfluous else "parameters"
         seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
         driver = finding["where"]["driver"]
-        if relation == "of_either":
+        if finding.get("of_either"):
             differ = f"{recording} and {simulation} differ by {what}{seen}; it follows {driver}."
             return " ".join(filter(None, (differ, observed, OF_EITHER)))
         shows = f"{owner} shows {what}{seen}; it follows {driver}."

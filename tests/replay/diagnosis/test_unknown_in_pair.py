@@ -17,17 +17,17 @@ def _unknown(driver: str, nats: float, amplitude: float = 1.0) -> Finding:
 
 
 @pytest.mark.parametrize(
-    ("recorded", "simulated", "relation"),
+    ("recorded", "simulated", "relation", "either"),
     [
-        ([("time", 20.0)], [], "lacking"),
-        ([], [("time", 20.0)], "superfluous"),
-        ([("time", 20.0)], [("time", 20.0)], "of_either"),
-        ([("temperature", 20.0)], [("motion", 20.0)], "of_either"),
-        ([], [], "of_either"),
+        ([("time", 20.0)], [], "lacking", False),
+        ([], [("time", 20.0)], "superfluous", False),
+        ([("time", 20.0)], [("time", 20.0)], "lacking", True),
+        ([("temperature", 20.0)], [("motion", 20.0)], "lacking", True),
+        ([], [], "lacking", True),
     ],
 )
 def test_what_has_no_name_is_of_the_one_that_shows_it_by_itself(
-    recorded: list[tuple[str, float]], simulated: list[tuple[str, float]], relation: str
+    recorded: list[tuple[str, float]], simulated: list[tuple[str, float]], relation: str, either: bool
 ) -> None:
     """The difference of the readings does not tell it; the sign is that of the owner's own readings."""
     found = _unknown("time", 50.0)
@@ -35,9 +35,9 @@ def test_what_has_no_name_is_of_the_one_that_shows_it_by_itself(
     own = [_unknown(*one) for one in recorded]
     other = [_unknown(*one, amplitude=-1.0) for one in simulated]
     (one,) = with_owner_of_unknown(Comparison([apart]), own, other).discrepancies
-    assert one.relation == relation
+    assert (one.relation, one.of_either) == (relation, either)
     assert (one.recorded, one.simulated) == ((None, other[0]) if relation == "superfluous" else (found, None))
     told = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1.0, 1.0), {}, None)
     text = told["findings"][0]["statement"]
-    assert ("is not known" in text) == (relation == "of_either")
+    assert ("is not known" in text) == either
     assert text.startswith("sim.csv shows") == (relation == "superfluous")

@@ -69,7 +69,7 @@ def _owned(one: Discrepancy, recorded: Sequence[Finding], simulated: Sequence[Fi
             one, relation="superfluous", axes=list(other.axes), where=other.where,
             recorded=None, simulated=other,
         )  # fmt: skip
-    return one if of_recording >= CERTAIN else replace(one, relation="of_either")
+    return one if of_recording >= CERTAIN else replace(one, of_either=True)
 
 
 def _at_moments(exam: Examination) -> list[Wanted]:
