@@ -32,8 +32,9 @@ def test_another_device_is_taken_on_reload_and_bad_settings_are_refused(
             os.kill(os.getpid(), signal.SIGHUP)
             await until(lambda: "attitudes_wanted = 3: must be 6 or more" in caplog.text)
             assert service.settings.engine.schedule.attitudes_wanted == 30
-            with failing_call(1, errno.EMFILE):
+            with failing_call(3, errno.EMFILE) as calls:  # after two looks at what kind of file it is
                 assert "Too many open files" in await service.reload()
+            assert calls.name == "open"
             given.config.write_text("[engine.schedule]\nattitudes_wanted = 12\n[source]\nbaud = 9600\n")
             os.kill(os.getpid(), signal.SIGHUP)
             await until(lambda: service.settings.source.baud == 9600)
