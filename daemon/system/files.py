@@ -81,6 +81,10 @@ class NotRegularError(OSError):
     """What lies at the name is no regular file."""
 
 
+class EmptyPipeError(NotRegularError):
+    """The pipe at the name gave nothing."""
+
+
 class NoWriterError(OSError):
     """Nobody writes to the pipe at the name."""
 
@@ -137,7 +141,8 @@ def read_regular(path: Path, limit: int) -> bytes:
 def read_input(path: Path | str, limit: int) -> bytes:
     """Return the contents, `limit` bytes at most, of a regular file, a pipe or standard input ("-").
 
-    Raises NoWriterError, what `read_regular` does, and TooLargeError as soon as a pipe has given more.
+    Raises NoWriterError, what `read_regular` does, TooLargeError as soon as a pipe has given more, and
+    EmptyPipeError where it gives nothing: what should have written to it failed.
     """
     if not is_read_once(path):
         return read_regular(Path(path), limit)
@@ -153,6 +158,8 @@ def read_input(path: Path | str, limit: int) -> bytes:
                     break
     if len(data) > limit:
         raise TooLargeError(errno.EFBIG, f"larger than {limit} bytes", input_name(path))
+    if not data:
+        raise EmptyPipeError(errno.EINVAL, "empty: nothing was written to it", input_name(path))
     return bytes(data)
 
 

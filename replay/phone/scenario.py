@@ -63,7 +63,7 @@ def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
         known = sorted(p.name[:-5] for p in shipped.iterdir() if p.name.endswith(".toml"))
         raise ValueError(f"{name}: no such file, and not one of {', '.join(known)}") from error
     except NotRegularError as error:
-        raise ValueError(f"{source}: is no regular file; give TOML as docs/phone.md has it") from error
+        raise ValueError(f"{source}: {error.strerror}; give TOML as docs/phone.md has it") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"{source}: is not a text file; give TOML as docs/phone.md has it") from error
     except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:

@@ -105,7 +105,7 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
     text = _statement(finding, names, observed).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
     text = capital(text) if text.startswith(THE_BUILT_IN) else text
     text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
-    text += _departing(finding)
+    text += _departing(finding) + _exchanged(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -146,6 +146,17 @@ def _undistinguished(finding: Mapping[str, Any]) -> str:
     """Return which other effects would look the same in this recording; "" where none would."""
     alike = [noun(a["effect"], finding["sensor"]) for a in finding["alternatives"] if a["indistinguishable"]]
     return f" This recording cannot tell it from: {', or '.join(alike)}." if alike else ""
+
+
+def _exchanged(finding: Mapping[str, Any]) -> str:
+    """Return when axes are exchanged, and what else it may be; "" for anything else."""
+    if finding["effect"] != "axis_exchange":
+        return ""
+    start, end = finding["where"]["t_start"], finding["where"]["t_end"]
+    return (
+        f" The turns between rests show it from {start:.0f} to {end:.0f} s; they do not tell it from an"
+        " exchange of the other sensor's axes."
+    )
 
 
 def _departing(finding: Mapping[str, Any]) -> str:

@@ -9,7 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from stillcal.daemon.system.files import NotRegularError, TooLargeError, input_name, read_input, short_name
+from stillcal.daemon.system.files import (
+    EmptyPipeError,
+    NotRegularError,
+    TooLargeError,
+    input_name,
+    read_input,
+    short_name,
+)
 
 LIMIT = 100_000
 """More than a pipe holds at once (65,536 bytes), so that its writer waits meanwhile."""
@@ -35,7 +42,7 @@ class StandardInput:
         self.buffer = io.BytesIO(data)
 
 
-@pytest.mark.parametrize("size", [0, 3, LIMIT])
+@pytest.mark.parametrize("size", [1, 3, LIMIT])
 def test_a_file_a_pipe_and_standard_input_give_the_same(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int
 ) -> None:
@@ -46,9 +53,20 @@ def test_a_file_a_pipe_and_standard_input_give_the_same(
     assert read_input("-", LIMIT) == data
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    late = threading.Timer(0.05, lambda: pipe.write_bytes(data or b" "))
+    late = threading.Timer(0.05, lambda: pipe.write_bytes(data))
     late.start()
-    assert read_input(pipe, LIMIT) == (data or b" ")
+    assert read_input(pipe, LIMIT) == data
+
+
+def test_an_empty_file_is_a_file_and_an_empty_pipe_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command that failed before the pipe wrote nothing: its empty output passed for a phone's defaults."""
+    (tmp_path / "file").touch()
+    assert read_input(tmp_path / "file", LIMIT) == b""
+    monkeypatch.setattr("sys.stdin", StandardInput(b""))
+    with pytest.raises(EmptyPipeError, match="empty: nothing was written to it"):
+        read_input("-", LIMIT)
 
 
 def test_what_is_too_long_is_refused_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

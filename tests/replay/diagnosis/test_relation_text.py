@@ -241,3 +241,19 @@ def test_a_form_that_is_not_kept_is_told_with_its_part_and_its_probability() -> 
         )
         assert ("departure" in said) == bool(departure)
         assert departure is None or said["departure"]["probability"] > 0.99
+
+
+def test_exchanged_axes_are_told_with_when_and_that_they_may_be_the_other_sensors() -> None:
+    finding = {
+        "effect": "axis_exchange",
+        "sensor": "gyro",
+        "axes": ["x"],
+        "relation": "lacking",
+        "where": {"t_start": 10.0, "t_end": 90.0, "driver": "rate of turn"},
+        "alternatives": [],
+        "parameters": {"miss": {"value": 1.2, "unit": "rad"}},
+        "simulated": {},
+        "difference": {},
+    }
+    text = statement(finding, ("real.csv", "sim.csv"))
+    assert "from 10 to 90 s" in text and text.endswith("an exchange of the other sensor's axes.")
