@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.clear_bins import (
     unlimited,
 )
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
-from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes
+from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Scene
 from stillcal.calib_core.diagnosis.model.measurement import Measured
@@ -166,14 +166,15 @@ def examine(
     sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
     lost = [f for s, x in sensors if (f := stuck(x, s))]
     clear = outside_of(bins, lost)
-    spoiled = None if gyroscope is None else garbled(gyroscope, clear, claims.gravity)
+    between = turns_between(gyroscope, clear, claims.gravity)
+    spoiled = garbled(between)
     gone = [*lost, spoiled] if spoiled else lost
     clear = outside_of(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
-    turned = None if gyroscope is None or spoiled else other_axes(gyroscope, clear, claims.gravity)
+    turned = None if spoiled else other_axes(between)
     direct = [*gone, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
     slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []

@@ -60,10 +60,9 @@ class Step:
         return float(np.linalg.norm(after - predicted))
 
 
-def garbled(gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
-    """Find the stretch of time in which one sensor's axes are not what they were."""
-    found = _steps(gyroscope, bins, gravity)
-    if found is None:
+def garbled(found: list[Step]) -> Finding | None:
+    """Find the stretch of time in which one sensor's axes are not what they were, by the turns found."""
+    if len(found) < LEAST_TURNS:
         return None
     size = _misses(found, np.eye(3))
     bad = size > max(FAR, TIMES * float(np.quantile(size, 0.3)))
@@ -71,13 +70,12 @@ def garbled(gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
     return None if span is None else _explained(found, size, bad, span)
 
 
-def other_axes(gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None:
-    """Find axes of the gyroscope that are others than the accelerometer's in all turns.
+def other_axes(found: list[Step]) -> Finding | None:
+    """Find axes of the gyroscope that are others than the accelerometer's in all of the turns found.
 
     Which of the two has the other convention, no recording tells.
     """
-    found = _steps(gyroscope, bins, gravity)
-    if found is None:
+    if len(found) < LEAST_TURNS:
         return None
     size = _misses(found, np.eye(3))
     if np.median(size) < FAR:
@@ -91,16 +89,15 @@ def other_axes(gyroscope: Samples, bins: Bins, gravity: float) -> Finding | None
     return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), Seen(nats))
 
 
-def _steps(gyroscope: Samples, bins: Bins, gravity: float) -> list[Step] | None:
-    """Return the turns between rests, None where they are too few."""
-    if bins.rate is None or len(bins) < LEAST_TURNS:
-        return None
+def turns_between(gyroscope: Samples | None, bins: Bins, gravity: float) -> list[Step]:
+    """Return the turns between rests; none without a gyroscope, or where rests are too few to be judged."""
+    if gyroscope is None or bins.rate is None or len(bins) < LEAST_TURNS:
+        return []
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    found = [
+    return [
         Step(float(c.t[0]), float(c.t[-1]), c.t, c.rate, baseline.up[c.first : c.first + 2])
         for c in cuts(gyroscope, bins)
     ]
-    return found if len(found) >= LEAST_TURNS else None
 
 
 def _misses(found: Sequence[Step], gyro: Array) -> Array:

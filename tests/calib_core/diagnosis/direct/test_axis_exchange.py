@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes
+from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples
 from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
@@ -38,32 +38,32 @@ def test_two_conventions_are_told_by_the_exchange_that_mends_all_turns(
     """A force that is mirrored makes the rate, a pseudovector, look turned over about that axis."""
     force, spin, _ = day()
     force, spin = changed(force, force_by), changed(spin, rate_by)
-    bins = cut(force, spin)
-    found = other_axes(spin, bins, G)
+    turns = turns_between(spin, cut(force, spin), G)
+    found = other_axes(turns)
     assert found is not None and (found.effect, found.sensor) == ("axis_exchange", "gyro")
     assert np.array_equal(found.parameters["exchange"].value, mended_by)
-    assert garbled(spin, bins, G) is None
+    assert garbled(turns) is None
 
 
 def test_axes_that_are_exchanged_for_a_while_are_told_with_when() -> None:
     force, spin, _ = day()
     swapped = np.eye(3)[[1, 0, 2]]
     force = changed(force, swapped, 300.0, 700.0)
-    bins = cut(force, spin)
-    found = garbled(spin, bins, G)
+    turns = turns_between(spin, cut(force, spin), G)
+    found = garbled(turns)
     assert found is not None and (found.effect, found.sensor, found.axes) == (
         "axis_exchange",
         "accel",
         ["x", "y"],
     )
     assert abs(found.where.t_start - 300.0) < 60.0 and abs(found.where.t_end - 700.0) < 60.0
-    assert other_axes(spin, bins, G) is None
+    assert other_axes(turns) is None
 
 
 def test_sound_axes_are_silent() -> None:
     force, spin, _ = day()
-    bins = cut(force, spin)
-    assert garbled(spin, bins, G) is None and other_axes(spin, bins, G) is None
+    turns = turns_between(spin, cut(force, spin), G)
+    assert garbled(turns) is None and other_axes(turns) is None
 
 
 def test_what_is_turned_otherwise_throughout_is_said_once() -> None:
