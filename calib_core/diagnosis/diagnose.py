@@ -172,7 +172,7 @@ def examine(
     clear = outside_of(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
-    nameless = [f for s in streams for f in sequence_findings(s.samples, s.sensor, clear)]
+    nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
     turned = None if spoiled else other_axes(between)
     direct = [*gone, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]

@@ -15,7 +15,6 @@ from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.dropouts import dropouts
 from stillcal.calib_core.diagnosis.sequence.lone_values import lone_values
-from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
 from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
@@ -30,12 +29,15 @@ NAMED_CODES = "missing_codes"
 LEAST_SAMPLES = 200
 
 
-def sequence_findings(samples: Samples, sensor: str, bins: Bins) -> list[Finding]:
-    """Return what one sensor's samples show that has no name. bins: the still ones."""
+def sequence_findings(samples: Samples, calm: Samples, sensor: str, bins: Bins) -> list[Finding]:
+    """Return what one sensor's samples show that has no name.
+
+    calm: the same without single outliers (`neighbours.without_outliers`); bins: the still ones.
+    """
     if len(samples) < LEAST_SAMPLES:
         return []
     still = still_rows(samples.t, bins)
-    noise = Noise.of(without_outliers(samples).xyz, still)
+    noise = Noise.of(calm.xyz, still)
     drops, dropped = dropouts(samples, sensor)
     found = [
         drops,

@@ -12,6 +12,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.dropouts import dropouts
 from stillcal.calib_core.diagnosis.sequence.findings import sequence_findings
+from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.hhar_still import recordings
 
@@ -33,7 +34,7 @@ def samples(force: Array, lsb: float = LSB) -> Samples:
 
 def said(force: Array) -> list[Finding]:
     made = samples(force)
-    return sequence_findings(made, "accel", cut(made, None))
+    return sequence_findings(made, without_outliers(made), "accel", cut(made, None))
 
 
 @pytest.mark.parametrize("value", [0.0, 3.0])

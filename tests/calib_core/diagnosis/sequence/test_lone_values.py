@@ -9,6 +9,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import sequence_findings
 from stillcal.calib_core.diagnosis.sequence.lone_values import DRIVER
+from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE, LSB = 50.0, 1e-3
@@ -30,7 +31,7 @@ def found(t: Array, rate: Array) -> list[str]:
     shaken = np.random.default_rng(0).normal(size=(t.size, 3)) * np.where(moving, 1.0, 0.01)[:, None]
     force = np.array([0.0, 0.0, 9.8]) + shaken
     bins = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), samples)
-    return [f.where.driver for f in sequence_findings(samples, "gyro", bins)]
+    return [f.where.driver for f in sequence_findings(samples, without_outliers(samples), "gyro", bins)]
 
 
 def test_a_byte_that_is_torn_in_motion_is_found() -> None:

@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
+from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.sequence.places import Noise, batch, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import stale_axes
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -38,7 +39,7 @@ def said(codes: np.ndarray) -> list[Finding]:
     turned = np.abs(codes).max(axis=1) > 300
     force[turned] += np.random.default_rng(8).normal(0.0, 1.0, (int(turned.sum()), 3))
     bins = cut(Samples.checked(Sensor.ACCELEROMETER, samples.t, force), samples)
-    return sequence_findings(samples, "gyro", bins)
+    return sequence_findings(samples, without_outliers(samples), "gyro", bins)
 
 
 def exchanged(x: np.ndarray, rng: np.random.Generator) -> None:
@@ -191,7 +192,8 @@ def test_a_name_that_fits_is_kept_and_one_that_only_looks_like_it_goes() -> None
 
 def test_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
     for one in recordings(data_dir / "hhar_still")[::24]:
-        assert sequence_findings(one.samples, "accel", cut(one.samples, None)) == []
+        calm = without_outliers(one.samples)
+        assert sequence_findings(one.samples, calm, "accel", cut(one.samples, None)) == []
 
 
 def test_a_value_that_is_off_in_every_batch_is_no_vibration() -> None:
