@@ -3,7 +3,8 @@
 `python benchmarks/truth.py --phones 40 --days 7 --jobs 2` prints the tables; `--phones 1 --days 3` takes
 about a minute. Every ten minutes after the first calibration, what each contender would tell is compared with
 the truth. `--no-thermometer` withholds the temperatures; the rivals need them, and do not take part. With
-`--freezes DAY` the thermometer shows one reading from then on.
+`--freezes DAY` the thermometer shows one reading from then on. `--keep DIR` keeps each life that has ended,
+and a run that was stopped goes on from there: forty weeks take hours.
 """
 
 # ruff: noqa: E402 - the number of threads is read when numpy is first imported
@@ -14,7 +15,8 @@ import os
 import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import astuple, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -229,16 +231,53 @@ def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> 
     return float(np.linalg.norm(told - _FORCE @ rotation.T, axis=1).mean() / MG)
 
 
-def moments(
-    number: int, seed: int, days: float, thermometer: bool = True, freezes: float = np.inf
-) -> tuple[np.ndarray, str, Cost]:
-    """Live one life with all contenders; return its moments, of dtype MOMENT, and a line on each engine.
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """How lives are lived. freezes: day from which on the thermometer shows one reading."""
 
-    freezes: day from which on the thermometer shows one reading.
-    """
-    life, contest, rows, shown = live(number, seed, days), Contest(), [], np.nan
+    seed: int
+    days: float
+    thermometer: bool = True
+    freezes: float = np.inf
+
+    @property
+    def name(self) -> str:
+        """Return them as a part of a file's name."""
+        warmth = "" if self.thermometer else "_no_thermometer"
+        frozen_at = "" if np.isinf(self.freezes) else f"_freezes_{self.freezes:g}"
+        return f"seed_{self.seed}_days_{self.days:g}{warmth}{frozen_at}"
+
+
+@dataclass(frozen=True, slots=True)
+class Lived:
+    """What one life came to. rows: its moments, of dtype MOMENT. line: a line on each engine."""
+
+    rows: np.ndarray
+    line: str
+    cost: Cost
+
+
+def lived(number: int, conditions: Conditions, keep: Path | None = None) -> Lived:
+    """Live one life with all contenders, or read it where it is kept."""
+    if keep is None:
+        return _live_it(number, conditions)
+    file = keep / f"phone_{number}_{conditions.name}.npz"
+    if file.exists():
+        with np.load(file) as kept:
+            return Lived(kept["rows"], str(kept["line"]), Cost(*kept["cost"].tolist()))
+    life = _live_it(number, conditions)
+    half = file.with_suffix(".half")
+    with half.open("wb") as out:
+        np.savez_compressed(out, rows=life.rows, line=life.line, cost=np.array(astuple(life.cost)))
+    half.replace(file)
+    return life
+
+
+def _live_it(number: int, conditions: Conditions) -> Lived:
+    life, contest, rows, shown = live(number, conditions.seed, conditions.days), Contest(), [], np.nan
+    thermometer = conditions.thermometer
     for true_chunk in life.simulation.chunks(EVERY_S):
-        still = true_chunk.t_end > freezes * DAY_S
+        still = true_chunk.t_end > conditions.freezes * DAY_S
         chunk = standing_still(true_chunk, shown) if still else true_chunk
         contest.feed(chunk if thermometer else without_thermometer(chunk))
         assert chunk.accelerometer.temperature is not None
@@ -254,7 +293,7 @@ def moments(
             at = (number, t, celsius, outside, a.age_s)
             rows.append((*at, a.who, str(a.sensor), error, truth - a.bias, a.stated))
     lines = [f"phone {number} ({', '.join(life.kinds)}): {_line(n, e)}" for n, e in contest.engines.items()]
-    return np.array(rows, MOMENT), "\n".join(lines), contest.cost
+    return Lived(np.array(rows, MOMENT), "\n".join(lines), contest.cost)
 
 
 def _line(name: str, engine: Engine) -> str:
@@ -332,34 +371,24 @@ def _share_held(rows: np.ndarray) -> float:
     return float((np.abs(rows["apart"][known]) <= 1.96 * rows["stated"][known]).mean())
 
 
-def measured(
-    phones: int,
-    days: float,
-    seed: int,
-    jobs: int,
-    *,
-    first: int = 0,
-    thermometer: bool = True,
-    freezes: float = np.inf,
-) -> tuple[np.ndarray, list[str], list[Cost]]:
-    """Live all lives, `jobs` at once; return the moments, a line for each phone, and what each took."""
-    numbers = range(first, first + phones)
-    if jobs == 1:
-        answers = [moments(number, seed, days, thermometer, freezes) for number in numbers]
-    else:
-        with ProcessPoolExecutor(jobs) as pool:
-            how = ([value] * phones for value in (seed, days, thermometer, freezes))
-            answers = list(pool.map(moments, numbers, *how))
-    rows, lines, costs = zip(*answers, strict=True)
-    return np.concatenate(rows), list(lines), list(costs)
+def measured(numbers: range, conditions: Conditions, jobs: int, keep: Path | None = None) -> list[Lived]:
+    """Live all lives, `jobs` at once; say on standard error how many have ended."""
+    ended = []
+    with ProcessPoolExecutor(jobs) as pool:
+        how = ([value] * len(numbers) for value in (conditions, keep))
+        for life in pool.map(lived, numbers, *how):
+            ended.append(life)
+            click.echo(f"\r{len(ended)} of {len(numbers)} lives", nl=False, err=True)
+    click.echo(err=True)
+    return ended
 
 
 def run(quick: bool) -> Iterator[Row]:
     """Yield the rows of item 7."""
     phones, days = (1, 2.0) if quick else (PHONES, DAYS)
-    rows, _, costs = measured(phones, days, SEED, os.cpu_count() or 1)
-    yield from _costs(costs)
-    yield from _errors(rows)
+    lives = measured(range(phones), Conditions(SEED, days), os.cpu_count() or 1)
+    yield from _costs([life.cost for life in lives])
+    yield from _errors(np.concatenate([life.rows for life in lives]))
 
 
 def _errors(rows: np.ndarray) -> Iterator[Row]:
@@ -419,7 +448,8 @@ def _costs(costs: list[Cost]) -> Iterator[Row]:
     }
     for what, (share, goal) in shares.items():
         percent = 100.0 * float(share)
-        yield Row("7", what, percent, "%", goal=f"{goal:g} %", met=percent <= goal, margin=goal / percent)
+        margin = goal / percent if percent else None
+        yield Row("7", what, percent, "%", goal=f"{goal:g} %", met=percent <= goal, margin=margin)
 
 
 @click.command()
@@ -430,15 +460,20 @@ def _costs(costs: list[Cost]) -> Iterator[Row]:
 @click.option("--jobs", default=1, show_default=True)
 @click.option("--thermometer/--no-thermometer", default=True, help="Withhold the temperatures.")
 @click.option("--freezes", default=np.inf, help="Day from which on the thermometer shows one reading.")
-@click.option("--npz", help="Keep every moment in this file.")
-def main(**how: Any) -> None:
+@click.option(
+    "--keep",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Directory where each life that has ended is kept, and from which a stopped run goes on.",
+)
+def main(phones: int, first: int, jobs: int, keep: Path | None, **how: Any) -> None:
     """Print the tables."""
-    npz = how.pop("npz")
-    rows, lines, costs = measured(**how)
-    for text in (*lines, "", *table(rows), "", *(f"{c.what}: {c.value:.3g} {c.unit}" for c in _costs(costs))):
+    if keep:
+        keep.mkdir(parents=True, exist_ok=True)
+    lives = measured(range(first, first + phones), Conditions(**how), jobs, keep)
+    rows = np.concatenate([life.rows for life in lives])
+    shares = (f"{c.what}: {c.value:.3g} {c.unit}" for c in _costs([life.cost for life in lives]))
+    for text in (*(life.line for life in lives), "", *table(rows), "", *shares):
         click.echo(text)
-    if npz:
-        np.savez_compressed(npz, rows=rows)
 
 
 if __name__ == "__main__":
