@@ -22,7 +22,7 @@ import msgspec
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import TryAgainError, UserError
 from stillcal.daemon.store.store import StoreSettings
-from stillcal.daemon.system.files import input_name, passing, read_input
+from stillcal.daemon.system.files import NoWriterError, input_name, passing, read_input
 
 T = TypeVar("T")
 
@@ -188,7 +188,8 @@ def load_settings(path: Path | str | None = None) -> Settings:
     except OSError as error:
         if passing(error):
             raise TryAgainError(f"{name}: {error.strerror}") from error
-        raise SettingsError(f"{name}: {error.strerror}: give the path of a TOML file") from error
+        remedy = "" if isinstance(error, NoWriterError) else ": give the path of a TOML file"
+        raise SettingsError(f"{name}: {error.strerror}{remedy}") from error
     return parse_settings(text, name)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import stat
 import sys
@@ -150,8 +151,7 @@ def read_input(path: Path | str, limit: int) -> bytes:
         data = sys.stdin.buffer.read(limit + 1)
     else:
         data = bytearray()
-        descriptor = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC"))
-        with naming(path), contextlib.closing(pipe_pieces(descriptor)) as pieces:
+        with naming(path), contextlib.closing(pipe_pieces(open_pipe(path))) as pieces:
             for piece in pieces:
                 data += piece
                 if len(data) > limit:
@@ -161,6 +161,18 @@ def read_input(path: Path | str, limit: int) -> bytes:
     if not data:
         raise EmptyPipeError(errno.EINVAL, "empty: nothing was written to it", input_name(path))
     return bytes(data)
+
+
+def open_pipe(path: Path | str) -> int:
+    """Return a descriptor to read the pipe at `path` from, without waiting for a writer. Raises OSError.
+
+    A pipe that the shell handed over (/dev/fd/63) is taken as it is: opened anew it would be one more reader,
+    who does not know that its writer has been there and has ended.
+    """
+    handed_over = re.fullmatch(r"/(?:dev|proc/self)/fd/(\d+)", str(path))
+    if handed_over:
+        return os.dup(int(handed_over[1]))
+    return os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC"))
 
 
 def pipe_pieces(descriptor: int) -> Generator[bytes]:

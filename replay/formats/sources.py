@@ -27,6 +27,7 @@ from stillcal.daemon.system.files import (
     STANDARD_INPUT_NAME,
     NoWriterError,
     flags,
+    open_pipe,
     pipe_pieces,
 )
 from stillcal.replay.formats.errors import TraceError
@@ -120,7 +121,7 @@ def source_of(path: Path | str, check: Check = Source.head) -> Source:
         raise TraceError(path, "is a folder", "name a file in it")
     if stat.S_ISFIFO(info.st_mode):
         try:
-            descriptor = os.open(path, os.O_RDONLY | flags("O_NONBLOCK", "O_CLOEXEC"))
+            descriptor = open_pipe(path)
         except OSError as error:
             raise cannot_open(path, error) from None
         return _spooled(path, descriptor, check)

@@ -9,7 +9,13 @@ from typing import TypeVar
 
 import msgspec
 
-from stillcal.daemon.system.files import NotRegularError, input_name, is_read_once, read_input
+from stillcal.daemon.system.files import (
+    NotRegularError,
+    TooLargeError,
+    input_name,
+    is_read_once,
+    read_input,
+)
 from stillcal.replay.phone.activities.carried import Drive, Hand, Pocket, Stairs, Walk
 from stillcal.replay.phone.activities.resting import Desk, Mattress, Place, Poses, Rest, Table, Washer
 from stillcal.replay.phone.settings import Settings, require
@@ -62,7 +68,7 @@ def read_settings(name: str | Path, folder: str, kind: type[T]) -> T:
             raise ValueError(f"{name}: settings are TOML; give a file whose name ends in .toml") from error
         known = sorted(p.name[:-5] for p in shipped.iterdir() if p.name.endswith(".toml"))
         raise ValueError(f"{name}: no such file, and not one of {', '.join(known)}") from error
-    except NotRegularError as error:
+    except (NotRegularError, TooLargeError) as error:
         raise ValueError(f"{source}: {error.strerror}; give TOML as docs/phone.md has it") from error
     except UnicodeDecodeError as error:
         raise ValueError(f"{source}: is not a text file; give TOML as docs/phone.md has it") from error

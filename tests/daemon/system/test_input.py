@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -67,6 +68,17 @@ def test_an_empty_file_is_a_file_and_an_empty_pipe_is_refused(
     monkeypatch.setattr("sys.stdin", StandardInput(b""))
     with pytest.raises(EmptyPipeError, match="empty: nothing was written to it"):
         read_input("-", LIMIT)
+
+
+def test_a_pipe_whose_writer_has_ended_already_is_read_at_once() -> None:
+    """Opened anew by its name, it looked like one that nobody had written yet, and was waited for."""
+    for data, outcome in ((b"all of it", nullcontext()), (b"", pytest.raises(EmptyPipeError))):
+        reading, writing = os.pipe()
+        os.write(writing, data)
+        os.close(writing)
+        with outcome:
+            assert read_input(f"/dev/fd/{reading}", LIMIT) == data
+        os.close(reading)
 
 
 def test_what_is_too_long_is_refused_by_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
