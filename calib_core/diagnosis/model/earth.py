@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.rotation_alignment import LONGEST_GAP
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
@@ -29,9 +30,6 @@ OF_ANGLE = 0.02
 
 OF_TIME = 5e-5
 """Error of a heading, rad/s, by a bias that is known from the rests about a turn: 10 deg/h."""
-
-LONGEST_GAP = 0.5
-"""s without a sample after which a heading is lost."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,6 +32,9 @@ from stillcal.calib_core.streams.samples import Samples
 
 LEAST_TURNS = 9
 LONGEST_TURN = 60.0
+LONGEST_GAP = 0.5
+"""s without a sample after which an attitude is lost; a long recording keeps the samples of some motion."""
+
 SHORT_OF = 0.98
 """Part of a limit that a rate, less its bias, may reach."""
 
@@ -147,11 +150,13 @@ def _local_bias(rate: Array) -> Array:
 
 
 def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int, rates: Rates) -> Cut | None:
-    """Cut the turn from bin i to bin i + 1, of different rests."""
+    """Cut the turn from bin i to bin i + 1, of different rests; None where some of it was not recorded."""
     start = float(bins.t[i] + bins.duration[i] / 2) - MARGIN
     end = float(bins.t[i + 1] - bins.duration[i + 1] / 2) + MARGIN
     part = gyroscope.between(start, end)
-    if end - start > LONGEST_TURN or len(part) < 10 or np.diff(part.t).max() > 0.5:
+    if end - start > LONGEST_TURN or len(part) < 10:
+        return None
+    if np.diff(part.t, prepend=start, append=end).max() > LONGEST_GAP:
         return None
     if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
         return None

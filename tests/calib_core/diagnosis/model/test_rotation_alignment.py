@@ -70,3 +70,14 @@ def test_a_turn_that_reaches_the_limit_is_left_out_whatever_is_known_of_its_rate
     fewer = cuts(gyroscope, bins, limit)
     assert 0 < len(fewer) < len(cuts(gyroscope, bins))
     assert len(cuts(gyroscope, bins, limit, lambda samples: 0.8 * samples.xyz)) == len(fewer)
+
+
+def test_a_turn_of_which_the_end_was_not_recorded_is_left_out() -> None:
+    """A long recording keeps the samples of some motion only: what was missing counted as no turn at all."""
+    _, gyroscope, _ = day()
+    bins = cut(*day()[:2])
+    whole = cuts(gyroscope, bins)
+    for t in (whole[3].t[0], whole[3].t[-1]):
+        there = np.abs(gyroscope.t - t) > 1.0
+        fewer = cuts(gyroscope[np.flatnonzero(there)], bins)
+        assert [c.first for c in fewer] == [c.first for c in whole if c.first != whole[3].first]
