@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
@@ -26,6 +28,9 @@ AXES = "xyz"
 
 MOST_PARAMETERS = 3
 """Parameters that a sentence names."""
+
+EXCHANGE = "exchange"
+"""Parameter of exchanged axes (3, 3): one sign in each row, which takes what was read to the true axes."""
 
 MOST_ELEMENTS = 3
 """Elements of a matrix that a sentence gives; the page and --json have all nine."""
@@ -97,13 +102,16 @@ OF_CORRECTION = (
 """Said of scale and misalignment, whose sign a simulator's own settings may have the other way round."""
 
 
+BEGINS_WITH_BUILT_IN = re.compile(rf"(^|[.]\)? ){THE_BUILT_IN}")
+"""The built-in simulation at the beginning of a sentence, also after one that ends within parentheses."""
+
+
 def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str = "") -> str:
     """Return what differs and what to do about it in the simulation, in one to four sentences.
 
     observed: what was observed of something without a name, a sentence; "" where that is not known.
     """
-    text = _statement(finding, names, observed).replace(f". {THE_BUILT_IN}", f". {capital(THE_BUILT_IN)}")
-    text = capital(text) if text.startswith(THE_BUILT_IN) else text
+    text = BEGINS_WITH_BUILT_IN.sub(rf"\1{capital(THE_BUILT_IN)}", _statement(finding, names, observed))
     text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
     text += _departing(finding) + _exchanged(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
@@ -287,6 +295,8 @@ def _side(finding: Mapping[str, Any], side: str, name: str | None) -> str:
     if name is None or name not in finding[side]:
         return "no value"
     parameter = finding[side][name]
+    if name == EXCHANGE:
+        return f"{EXCHANGE} undone by {_undone_by(parameter['value'])}"
     beside = [finding[s][name] for s in ("parameters", "simulated") if name in finding[s]]
     shown = shown_of(finding, name, finding["axes"])
     text = with_interval(name, parameter, shown, beside)
@@ -295,6 +305,13 @@ def _side(finding: Mapping[str, Any], side: str, name: str | None) -> str:
     # A number without a unit, or one that belongs to a pair of axes, says too little without its name.
     named = name == "misalignment" or parameter["unit"] == "1"
     return f"{parameter_noun(name)} {text}" if named else text
+
+
+def _undone_by(exchange: ArrayLike) -> str:
+    """Return in plain words what puts exchanged axes right, "x = -y, y = x": a true axis and one as read."""
+    rows = np.asarray(exchange, dtype=np.float64).round().astype(int)
+    moved = [(axis, row) for axis, row in zip(AXES, rows, strict=True) if row[AXES.index(axis)] != 1]
+    return ", ".join(f"{a} = {'-' * int(row.sum() < 0)}{AXES[np.abs(row).argmax()]}" for a, row in moved)
 
 
 def _word(finding: Mapping[str, Any], name: str | None) -> str:

@@ -257,3 +257,36 @@ def test_exchanged_axes_are_told_with_when_and_that_they_may_be_the_other_sensor
     }
     text = statement(finding, ("real.csv", "sim.csv"))
     assert "from 10 to 90 s" in text and text.endswith("an exchange of the other sensor's axes.")
+
+
+def test_exchanged_axes_are_told_by_what_puts_them_right() -> None:
+    exchange: list[list[float]] = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+    finding = {
+        "effect": "axis_exchange",
+        "sensor": "gyro",
+        "axes": ["x", "y"],
+        "relation": "lacking",
+        "alternatives": [],
+        "where": {"t_start": 20.0, "t_end": 300.0},
+        "parameters": {"miss": {"value": 1.2, "unit": "rad"}, "exchange": {"value": exchange, "unit": "1"}},
+        "simulated": {},
+        "difference": {},
+    }
+    text = statement(finding, ("real.csv", "sim.csv"))
+    assert "exchange undone by x = -y, y = x. Add it." in text and "elements" not in text
+
+
+def test_a_sentence_after_a_parenthesis_begins_with_a_capital() -> None:
+    finding = {
+        "effect": "unknown",
+        "sensor": "accel",
+        "axes": ["x"],
+        "relation": "lacking",
+        "alternatives": [],
+        "where": {"t_start": 0.0, "t_end": 300.0, "driver": "time"},
+        "parameters": {},
+        "simulated": {},
+        "difference": {},
+    }
+    text = statement(finding, ("real.csv", BUILT_IN), "It is seen. (Or its alias is.)")
+    assert text.endswith("(Or its alias is.) The built-in simulation does not show it.")
