@@ -45,12 +45,20 @@ def without_outliers(samples: Samples) -> Samples:
         return samples
     step = np.array([comb_step(column) or 0.0 for column in samples.xyz.T])
     noise = np.hypot(spread(residual(samples.xyz)), step)
-    near = np.stack([samples.xyz[i : i + n] for i in range(2 * REACH + 1) if i != REACH])
-    middle = np.median(near, axis=0)
-    agree = np.ptp(near, axis=0) < 2.0 * FAR * noise
-    alone = agree & (np.abs(samples.xyz[REACH:-REACH] - middle) > OUTLIER * noise)
-    if not alone.any():
-        return samples
-    xyz = samples.xyz.copy()
-    xyz[REACH:-REACH] = np.where(alone, middle, xyz[REACH:-REACH])
-    return replace(samples, xyz=frozen(xyz))
+    xyz = None
+    for axis, values in enumerate(samples.xyz.T):
+        middle, apart = _of_four(*(values[i : i + n] for i in range(2 * REACH + 1) if i != REACH))
+        own = values[REACH:-REACH]
+        alone = (apart < 2.0 * FAR * noise[axis]) & (np.abs(own - middle) > OUTLIER * noise[axis])
+        if alone.any():
+            xyz = samples.xyz.copy() if xyz is None else xyz
+            xyz[REACH:-REACH, axis] = np.where(alone, middle, own)
+    return samples if xyz is None else replace(samples, xyz=frozen(xyz))
+
+
+def _of_four(a: Array, b: Array, c: Array, d: Array) -> tuple[Array, Array]:
+    """Return the median (n,) of four values each, and how far apart the least and the largest are."""
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    other_low, other_high = np.minimum(c, d), np.maximum(c, d)
+    middle = (np.maximum(low, other_low) + np.minimum(high, other_high)) / 2.0
+    return middle, np.maximum(high, other_high) - np.minimum(low, other_low)
