@@ -205,7 +205,9 @@ def moment_of(recording: Recording, motion: Motion, conditions: Conditions, at: 
     rising = np.maximum.accumulate(at) + 1e-9 * np.arange(at.size)
     since = at - conditions.t_start
     charging = conditions.surroundings.charging.at(since)
-    return Moment(since, force, rate, np.gradient(rate, rising, axis=0), warmth, charging)
+    # A block of a long recording may have one moment in a part whose motion is known.
+    rate_dot = np.gradient(rate, rising, axis=0) if at.size > 1 else np.zeros_like(rate)
+    return Moment(since, force, rate, rate_dot, warmth, charging)
 
 
 def resimulate(

@@ -8,7 +8,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.phone.resimulate import motion_of
+from stillcal.replay.diagnosis.phone.resimulate import moment_of, motion_of
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
@@ -31,3 +31,16 @@ def test_a_vibration_is_taken_off_the_recorded_motion_between_rests() -> None:
     found = motion_of(recording, bins, affine, [TONE], conditions, gravity=STANDARD)
     fast = np.diff(found.force - force, axis=0)[(angle[1:] > 0.05) & (angle[1:] < 0.95)]
     assert fast.std(axis=0).max() < 0.02, "of 0.27 with the vibration"
+
+
+def test_a_single_moment_of_a_motion_can_be_played() -> None:
+    """A long recording is played in blocks, of which one may have one moment in a part that is known."""
+    force = frozen(np.tile([0.0, 0.0, STANDARD], (T.size, 1)))
+    recording = Recording(Samples(Sensor.ACCELEROMETER, frozen(T), force), None, [], Claims(), [])
+    bins = still_bins(recording.accelerometer, None)
+    conditions = conditions_of(bins)
+    motion = motion_of(
+        recording, bins, fit_affine(bins, [], conditions, STANDARD), [], conditions, gravity=STANDARD
+    )
+    moment = moment_of(recording, motion, conditions, T[1:2])
+    assert moment.rate_dot.shape == (1, 3) and not moment.rate_dot.any()
