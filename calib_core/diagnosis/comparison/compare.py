@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     linear_quantities,
     moved_rows,
     proposed,
+    settled,
     wanted_of,
 )
 from stillcal.calib_core.diagnosis.comparison.looked_for import (
@@ -44,6 +45,7 @@ from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_
 from stillcal.calib_core.diagnosis.comparison.stated import concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import Finding
@@ -149,8 +151,9 @@ def _sides(
     """Return what either recording shows, the constants at the recording's mean temperature.
 
     They are those at the temperature where both agree best, if they do agree there: elsewhere they would only
-    repeat that a slope differs. Of a simulation whose temperature stays the same only the constants at that
-    one are known. wanted: what either of the two is asked for.
+    repeat that a slope differs. So of a bias that settles it is that of the start or the settled one, where
+    both agree better: the other would only repeat the amplitude. Of a simulation whose temperature stays the
+    same only the constants at that one are known. wanted: what either of the two is asked for.
     """
     steady = hidden_shifts(exams[1], wanted[1])
     reference = _reference_temperature(exams[0].bins, exams[1].bins, steady)
@@ -160,12 +163,29 @@ def _sides(
     for sensor, at in crossing_temperatures(sides, reference).items():
         crossed = [linear_quantities(exam, own, reference | {sensor: at}, about) for exam, own in asked]
         if all(_agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
-            sides = [
-                side | {key: q for key, q in at_crossing.items() if key[1] == sensor}
-                for side, at_crossing in zip(sides, crossed, strict=True)
-            ]
+            sides, reference = _with_those_of(sensor, sides, crossed), reference | {sensor: at}
+    for sensor in sorted({w.hypothesis.effect.sensor for w in wanted[1] if SETTLED in w.grid}):
+        later = [linear_quantities(exam, [*map(settled, own)], reference, about) for exam, own in asked]
+        if _apart(later, (f"{sensor}_bias", sensor)) < _apart(sides, (f"{sensor}_bias", sensor)):
+            sides = _with_those_of(sensor, sides, later)
     sides = not_logged.with_unknown_temperature(sides, unlogged)
     return [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
+
+
+def _with_those_of(
+    sensor: str, sides: Sequence[Mapping[Key, Quantity]], others: Sequence[Mapping[Key, Quantity]]
+) -> list[dict[Key, Quantity]]:
+    """Return both sides with one sensor's quantities taken from others."""
+    return [
+        dict(side) | {key: q for key, q in other.items() if key[1] == sensor}
+        for side, other in zip(sides, others, strict=True)
+    ]
+
+
+def _apart(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> float:
+    """Return the log Bayes factor, nats, for a difference of a quantity; none where one does not show it."""
+    one, other = (side.get(key) for side in sides)
+    return -np.inf if one is None or other is None else subtract(one, other).log_bayes_factor
 
 
 def _agree(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> bool:

@@ -20,9 +20,10 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.effect import Effect, Linear, on_axes
+from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
@@ -76,7 +77,7 @@ class Wanted:
 
     kind: str
     hypothesis: Hypothesis
-    grid: Mapping[str, float]
+    grid: Grid
 
     @property
     def key(self) -> tuple[str, str, str]:
@@ -88,7 +89,7 @@ class Wanted:
 def wanted_of(exam: Examination) -> list[Wanted]:
     """Return the linear effects that a recording was found to have and that another can be asked for."""
     return [
-        Wanted(kind_of(s.scene), s.hypothesis, s.hypothesis.grid | _estimated(s.finding))
+        Wanted(kind_of(s.scene), s.hypothesis, _grid_of(s.hypothesis, s.finding))
         for s in exam.statements
         if s.hypothesis is not None and s.scene is not None and transferable(s.hypothesis)
     ]
@@ -101,6 +102,17 @@ def _estimated(finding: Finding) -> dict[str, float]:
         for name in GRID_PARAMETERS
         if name in finding.parameters
     }
+
+
+def _grid_of(hypothesis: Hypothesis, finding: Finding) -> Grid:
+    """Return an effect's grid point as estimated; a settling counts from the start until biases are known."""
+    counted = {SETTLED: 0.0} if isinstance(hypothesis.effect, Warmup) else {}
+    return hypothesis.grid | _estimated(finding) | counted
+
+
+def settled(wanted: Wanted) -> Wanted:
+    """Return a wanted effect that counts, if it settles, up to the settled bias."""
+    return replace(wanted, grid=wanted.grid | {SETTLED: 1.0}) if SETTLED in wanted.grid else wanted
 
 
 def transferable(hypothesis: Hypothesis) -> bool:
@@ -168,7 +180,10 @@ def _fitted(
         roughly[rows] = _model_error(hypothesis, value[rows])
     stated, of_constants = turned @ value, turned @ (covariance + np.diag(roughly**2)) @ turned.T
     covariance = turned @ covariance @ turned.T
-    out = _constant_quantities(exam, kind, stated, of_constants, reference_c)
+    reference = {} if reference_c is None else {"temperature_c": reference_c}
+    for one in effects:
+        reference |= {name: at for name, at in one.grid.items() if name == SETTLED}
+    out = _constant_quantities(exam, kind, stated, of_constants, reference)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
         effect = effect_quantity(scene.bins.span, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
         if reference_c is not None and hypothesis.effect.name in SHIFTED:
@@ -217,7 +232,10 @@ def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
         if effect.recurs:
             return scene.measured(effect, wanted.hypothesis.grid)
         if found := scene.hypotheses(effect):
-            return nearest(scene.finer(nearest(found)))
+            point = nearest(scene.finer(nearest(found)))
+            if SETTLED not in wanted.grid:
+                return point
+            return scene.measured(effect, point.grid | {SETTLED: wanted.grid[SETTLED]}, point.multiplicity)
     return None
 
 
@@ -339,12 +357,12 @@ def _above_mean(scene: Scene, effect: Effect, reference_c: float | None, about: 
 
 
 def _constant_quantities(
-    exam: Examination, kind: str, value: Array, covariance: Array, reference_c: float | None
+    exam: Examination, kind: str, value: Array, covariance: Array, reference: Mapping[str, float]
 ) -> list[Quantity]:
     """Return bias and scale, or of turns the scale, as quantities of their own.
 
     A clock that runs fast by a part makes every turn too large by that part: the scale is that at the host's
-    time, where it is known.
+    time, where it is known. reference: what they are stated at.
     """
     where = Where(*exam.bins.span, SLOW_BAND, "nothing")
     if kind == "turn":
@@ -354,7 +372,6 @@ def _constant_quantities(
         scale = (exam.aligned.mapping - error @ exam.aligned.mapping) * (1.0 + clock.value)
         value = (scale - one).ravel()
         covariance = covariance[:9, :9] + clock.error**2 * np.outer(one, one)
-    reference = {} if reference_c is None else {"temperature_c": reference_c}
     sensor = "gyro" if kind == "turn" else kind
     out, first = [], 0
     for name, of in _by_effect(CONSTANTS[kind]).items():
@@ -371,7 +388,7 @@ def _constant_quantities(
                 np.concatenate([np.full(p.count, p.size) for p in of]),
                 np.full(count, ALIKE_BIAS[sensor] if name == "bias" else ALIKE_SCALE),
                 np.repeat(np.arange(3), 3) if kind == "turn" else np.arange(count) % 3,
-                reference=reference,
+                reference={k: v for k, v in reference.items() if k != SETTLED or name == "bias"},
                 where=where,
             )
         )

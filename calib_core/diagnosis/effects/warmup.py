@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import numpy as np
@@ -15,6 +15,9 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 TAUS = (60.0, 120.0, 240.0, 480.0, 960.0, 1920.0)
 """s: phones warm up within 2 to 20 minutes."""
+
+SETTLED = "settled"
+"""1 in the grid of a settling whose amplitude counts up to the settled bias, not from that of the start."""
 
 LATENT_TAUS = (90.0, 200.0, 450.0, 900.0, 1800.0)
 
@@ -50,6 +53,7 @@ class Warmup(BiasEffect):
     called_as = "settling of {bias} after the start"
     follows = "time since start"
     equation = "bias(t) = bias(0) + amplitude (1 - exp(-t / tau_s))"
+    from_settled = "bias(t) = bias(settled) - amplitude exp(-t / tau_s)"
     remedy = "let the phone warm up, or leave out the first minutes"
     decides = "switch on cold once more, or record temperature"
     grid_units = {"tau_s": "s"}  # noqa: RUF012 - a constant of the class
@@ -58,6 +62,10 @@ class Warmup(BiasEffect):
         super().__init__(sensor)
         self.parameters = (Linear("amplitude", UNIT[sensor], 3, SIZE[sensor]),)
         self.look_alikes = (f"{sensor}_bias_temperature", f"{sensor}_bias_drift", "thermal_latent")
+
+    def equation_at(self, grid: Mapping[str, float]) -> str:
+        """Return the formula from the bias on that the amplitude counts from."""
+        return self.from_settled if grid.get(SETTLED) else self.equation
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return time constants up to half the recording."""
@@ -68,8 +76,8 @@ class Warmup(BiasEffect):
         return nearby(grid)
 
     def curve(self, moments: Moments, grid: Grid) -> Array:
-        """Return 1 - exp(-age / tau)."""
-        return relaxation(moments, grid["tau_s"])
+        """Return 1 - exp(-age / tau), less 1 where the settled bias is the one it counts from."""
+        return relaxation(moments, grid["tau_s"]) - grid.get(SETTLED, 0.0)
 
 
 class LatentHeat(BiasEffect):

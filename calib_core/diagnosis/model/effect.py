@@ -8,7 +8,7 @@ from it. Physics of one's own is added by a subclass in another package, named u
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import ClassVar
@@ -101,6 +101,10 @@ class Effect:
     def called(self) -> str:
         """Return the noun; for an effect without one, words made of its driver."""
         return self.noun or f"effect of {self.follows} on the {NAME[self.sensor]}"
+
+    def equation_at(self, grid: Mapping[str, float]) -> str:
+        """Return the physics as a formula, of an effect at a grid point; "" for an effect without one."""
+        return self.equation
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return the grid points to try; none where the recording lacks what drives the effect."""

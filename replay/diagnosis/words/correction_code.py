@@ -15,6 +15,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 
 Finding = Mapping[str, Any]
 
@@ -36,7 +37,7 @@ def equation_of(finding: Finding) -> str:
     effect = finding["effect"]
     for known in named_effects():
         if (known.name, known.sensor) == (effect, finding["sensor"]) and known.equation:
-            return known.equation
+            return known.equation_at(finding.get("reference", {}))
     return DESCRIBED[effect].equation if effect in DESCRIBED else ""
 
 
@@ -133,10 +134,11 @@ def _warmer(finding: Finding) -> str:
 
 
 def _warmup(finding: Finding) -> list[str]:
+    curve = "-np.exp" if finding.get("reference", {}).get(SETTLED) else "-np.expm1"
     return [
         _literal(finding, "amplitude"),
         _literal(finding, "tau_s"),
-        _less(finding, "np.outer(-np.expm1(-(t - t[0]) / tau_s), amplitude)"),
+        _less(finding, f"np.outer({curve}(-(t - t[0]) / tau_s), amplitude)"),
     ]
 
 

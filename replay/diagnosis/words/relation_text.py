@@ -10,9 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED
+from stillcal.replay.diagnosis.words.correction_code import equation_of
 from stillcal.replay.diagnosis.words.names import (
     BUILT_IN,
     THE_BUILT_IN,
@@ -112,8 +114,8 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
     observed: what was observed of something without a name, a sentence; "" where that is not known.
     """
     text = BEGINS_WITH_BUILT_IN.sub(rf"\1{capital(THE_BUILT_IN)}", _statement(finding, names, observed))
-    text += _at_temperature(finding) + _two_sided(finding, names[1]) + _undistinguished(finding)
-    text += _departing(finding) + _exchanged(finding)
+    text += _at_temperature(finding) + _when_settled(finding) + _two_sided(finding, names[1])
+    text += _undistinguished(finding) + _departing(finding) + _exchanged(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -136,6 +138,16 @@ def _at_temperature(finding: Mapping[str, Any]) -> str:
     if at is None or not (bends or finding["effect"].endswith(("_bias", "_scale"))):
         return ""
     return f" The numbers hold at {at:.1f} °C."
+
+
+def _when_settled(finding: Mapping[str, Any]) -> str:
+    """Return when a bias that settles has its numbers, or from what the settling counts; "" otherwise."""
+    settled = finding.get("reference", {}).get(SETTLED)
+    if settled is None:
+        return ""
+    if finding["effect"].endswith("_bias"):
+        return f" It is the bias {'once settled' if settled else 'at the start'}."
+    return f" It counts from the settled bias: {equation_of(finding)}." if settled else ""
 
 
 def _two_sided(finding: Mapping[str, Any], simulation: str) -> str:

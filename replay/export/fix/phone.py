@@ -17,6 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.terms import POWER_NAMES
 from stillcal.calib_core.diagnosis.comparison.direct import ALIKE, LINE
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
@@ -100,6 +101,18 @@ class _Phone:
         if at is not None:
             gained = np.eye(3) + np.diag(delta * (self.phone.heat.reference_c - at))
             self._set_gain(finding, gained @ np.asarray(self._sensor(finding).scale))
+
+    def warmup(self, finding: Finding) -> None:
+        """Put in a settling. The phone's bias is that of the start: where the settled one stays, it moves."""
+        before = self._amplitude(finding)
+        self.other(finding)
+        if finding.get("reference", {}).get(SETTLED):
+            self._add_bias(finding, before - self._amplitude(finding))
+
+    def _amplitude(self, finding: Finding) -> Array:
+        """Return the amplitude (3,) of the phone's settling of a finding's sensor, 0 where it has none."""
+        own = [msgspec.structs.asdict(e)["amplitude"] for e in self.phone.effects if _is_of(e, finding)]
+        return sum(map(np.asarray, own), np.zeros(3))
 
     def white(self, finding: Finding) -> None:
         noise = self._sensor(finding).noise
@@ -292,6 +305,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
             f"{sensor}_scale": work.scale,
             f"{sensor}_scale_temperature": work.scale_temperature,
             f"{sensor}_slow_noise": work.slow,
+            f"{sensor}_warmup": work.warmup,
         }
     apply_findings(findings, handlers, fixed, otherwise=work.other)
     fixed.text = _text(text, before, work.phone, fixed)

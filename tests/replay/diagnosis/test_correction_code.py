@@ -84,6 +84,14 @@ def test_the_pasted_function_takes_out_what_the_phone_put_in(
     assert np.sqrt(np.mean(left**2)) < 0.01 * np.sqrt(np.mean(added**2))
 
 
+def test_a_settling_that_counts_from_the_settled_bias_is_taken_out_from_there() -> None:
+    values = {"amplitude": [0.05, 0.02, -0.03], "tau_s": 15.0}
+    found = finding("accel_warmup", "accel", values, reference={"settled": 1.0})
+    added = -np.outer(np.exp(-(T - T[0]) / 15.0), values["amplitude"])
+    _, force, _ = pasted(found)(T, None, FORCE + added, RATE)
+    np.testing.assert_allclose(force, FORCE, atol=1e-9)
+
+
 def test_constants_in_the_order_that_the_equation_has() -> None:
     bias, scale = np.array([0.1, -0.2, 0.3]), np.diag([1.01, 0.99, 1.02])
     scale[0, 1] = scale[1, 0] = 0.004

@@ -179,6 +179,22 @@ def test_a_time_constant_that_the_simulation_has_not_is_the_recordings_with_its_
 
 
 @pytest.mark.slow
+def test_a_bias_that_settles_to_that_of_the_simulation_is_one_finding() -> None:
+    """Counted from the start, its amplitude was told a second time, as a constant bias."""
+    amplitude = np.array([0.05, -0.03, 0.0])
+    settling = {"name": "accel_warmup", "amplitude": amplitude.tolist(), "tau_s": 170.0}
+    phone, plain = phone_with(settling), np.asarray(phone_with().accel.bias)
+    high = changed(phone, "accel", bias=tuple((plain - amplitude).tolist()))
+    real = named(report_days.recorded(high, 3), "real.csv")
+    said = answer(real, simulated(0.0, PART_S))
+    finding = only(said)
+    assert (finding["effect"], finding["relation"]) == ("accel_warmup", "lacking")
+    assert finding["reference"]["settled"] == 1.0 and "bias(settled) - amplitude" in finding["equation"]
+    assert holds(finding["difference"]["amplitude"], amplitude)
+    assert said["verdict"] == "identified" and said["fit"]["p_after"] > 0.5
+
+
+@pytest.mark.slow
 def test_a_gyroscopes_scale_that_follows_temperature_is_one_finding() -> None:
     """Its constant part was told as a second one, at a temperature that nobody named."""
     warm = {"name": "gyro_scale_temperature", "slope": [2e-3, 0.0, 0.0]}

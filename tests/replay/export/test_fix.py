@@ -204,6 +204,18 @@ def test_a_line_that_may_last_all_along_is_put_in_whole(upper: float, held: bool
     assert made.left_out == ([] if held else ["vibration_tone"])
 
 
+@pytest.mark.parametrize("settled", [0.0, 1.0])
+def test_a_settling_leaves_the_phones_bias_where_the_finding_counts_from(settled: float) -> None:
+    """A phone file's bias is that of the start."""
+    values = {"amplitude": ([0.002, 0.0, 0.0], [0.0] * 3), "tau_s": (300.0, 300.0)}
+    found = finding("gyro_warmup", "gyro", values, "lacking", "x", reference={"settled": settled})
+    before = msgspec.convert(tomllib.loads(PHONE), type=Phone)
+    after = msgspec.convert(tomllib.loads(fixed("phone", PHONE, found).text), type=Phone)
+    assert before.gyro is not None and after.gyro is not None
+    moved = np.subtract(after.gyro.bias, before.gyro.bias)
+    np.testing.assert_allclose(moved, [-0.002 * settled, 0.0, 0.0], atol=1e-12)
+
+
 def test_what_rests_on_an_assumption_is_put_into_no_configuration() -> None:
     """A simulation at one temperature, without a thermometer, may have the slope that it does not show."""
     made = fixed("phone", PHONE, SLOPE | {"assumption": "the temperature is not known"})
