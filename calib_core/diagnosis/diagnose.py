@@ -35,6 +35,7 @@ from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequen
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import Stated, turn_statements
+from stillcal.calib_core.diagnosis.slow.nameless_tilt import beyond, nameless_tilt
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.calib_core.diagnosis.slow.turn_errors import turn_errors
@@ -222,7 +223,8 @@ def _with_motion(
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
     turns = None if exam.exchanged else turns
     if affine is not None and turns is not None and search:
-        stated += about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
+        of_turns = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
+        stated += beyond(nameless_tilt([s.finding for s in stated], gravity), of_turns)
     return replace(
         exam,
         aligned=affine,

@@ -82,7 +82,7 @@ def about_effects(
     if not found:
         return list(stated)
     others = [s.hypothesis for s in stated if s.hypothesis is not None and s not in named]
-    values = [_sizes(s) for s in named]
+    values = [sizes(s) for s in named]
     estimates: list[Estimate] = []
     (affine, scene), known = start, start[1]
     for _ in range(ROUNDS):
@@ -107,7 +107,7 @@ def _with_sizes(finding: Finding, found: Estimate) -> Finding:
     return replace(finding, parameters=parameters(found), statement=said)
 
 
-def _sizes(stated: Stated) -> Array:
+def sizes(stated: Stated) -> Array:
     """Return the linear parameters (k,) of a finding, SI."""
     assert stated.hypothesis is not None, "asked for with one only"
     own = stated.hypothesis.effect.parameters

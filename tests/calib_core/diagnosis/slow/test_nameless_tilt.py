@@ -1,0 +1,71 @@
+"""A turn's error that the accelerometer's nameless error may make is not the gyroscope's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis import diagnose
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.nameless_tilt import beyond, nameless_tilt
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.replay.diagnosis.judged import examined
+from tests.support.report_days import phone_with, recorded
+
+TURNS = 20
+SCALE = next(e for e in effects_of("gyro", in_turns=True) if e.name == "gyro_scale_temperature")
+
+
+def finding(effect: str, sensor: str, sizes: dict[str, Parameter], band: tuple[float, float]) -> Finding:
+    return Finding(effect, sensor, [], Where(0.0, 900.0, band, "time"), sizes, Evidence(50.0), [], "Said.")
+
+
+def of_turns(moved: float) -> Stated:
+    """Return a statement whose effect moves gravity by `moved` (rad) across itself in every turn."""
+    columns = np.full((1, 2 * TURNS, 3), moved / np.sqrt(2.0)) * [1.0, 0.0, 0.0]
+    sizes = {SCALE.parameters[0].name: Parameter([1.0, 0.0, 0.0], None, "1/K")}
+    return Stated(finding(SCALE.name, "gyro", sizes, SLOW_BAND), Hypothesis(SCALE, {}, (columns,)), None)
+
+
+def nameless(sensor: str, size: float, band: tuple[float, float] = SLOW_BAND) -> Finding:
+    return finding("unknown", sensor, {"amplitude": Parameter([0.0, size, 0.0], None, "m/s^2")}, band)
+
+
+@pytest.mark.parametrize("moved, kept", [(4e-3, False), (7e-3, True)])
+def test_what_turns_show_is_kept_where_it_is_larger_than_the_tilt(moved: float, kept: bool) -> None:
+    tilt = nameless_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD)
+    assert tilt == pytest.approx(5e-3)
+    assert bool(beyond(tilt, [of_turns(moved)])) is kept
+
+
+def test_only_slow_nameless_errors_of_the_accelerometer_tilt() -> None:
+    others = [
+        nameless("gyro", 1.0),
+        nameless("accel", 1.0, (5.0, 6.0)),
+        finding("accel_bias_step", "accel", {"step": Parameter([1.0, 0.0, 0.0], None, "m/s^2")}, SLOW_BAND),
+    ]
+    assert nameless_tilt(others, STANDARD) == 0.0
+    assert beyond(0.0, [of_turns(1e-6)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moved, stated", [(1e-3, False), (0.5, True)])
+def test_a_recording_whose_accelerometer_bends_with_temperature_states_no_smaller_turns(
+    monkeypatch: pytest.MonkeyPatch, moved: float, stated: bool
+) -> None:
+    recording = recorded(phone_with(), 3)
+    accel = recording.accelerometer
+    assert accel.temperature is not None
+    warm = accel.temperature - accel.temperature.min()
+    bent = np.outer(1.0 - np.exp(-6.0 * warm / warm.max()), [0.024, -0.048, 0.08])
+    monkeypatch.setattr(diagnose, "about_effects", lambda *_: [of_turns(moved)])
+    exam = examined(replace(recording, accelerometer=replace(accel, xyz=frozen(accel.xyz + bent))))
+    found = {(s.finding.effect, s.finding.sensor) for s in exam.statements}
+    assert ("unknown", "accel") in found
+    assert ((SCALE.name, "gyro") in found) is stated
