@@ -10,7 +10,7 @@ one makes the turns of the whole recording fit, the two sensors are not told in 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 
 import numpy as np
@@ -31,6 +31,10 @@ LEAST_BAD = 3
 FAR = 0.25
 TIMES = 8.0
 MOST_BAD = 0.6
+SOUND_PART = 0.3
+"""Quantile of the misses that is a sound turn's even where as many as may be are bad."""
+MOST_SCALED = 40
+"""Turns from which the gyroscope's scale is taken, spread over the recording: one factor needs no more."""
 DENSE = 0.6
 MENDED = 0.75
 LEAST_MISS, STRAY = 0.02, 0.05
@@ -64,8 +68,8 @@ def garbled(found: list[Step]) -> Finding | None:
     """Find the stretch of time in which one sensor's axes are not what they were, by the turns found."""
     if len(found) < LEAST_TURNS:
         return None
-    size = _misses(found, np.eye(3))
-    bad = size > max(FAR, TIMES * float(np.quantile(size, 0.3)))
+    found, size = _rescaled(found)
+    bad = size > max(FAR, TIMES * float(np.quantile(size, SOUND_PART)))
     span = _stretch(bad)
     return None if span is None else _explained(found, size, bad, span)
 
@@ -85,7 +89,8 @@ def other_axes(found: list[Step]) -> Finding | None:
     best = int(np.argmin([np.median(miss) for miss in misses]))
     if np.median(misses[best]) > FAR:
         return None
-    nats = _nats(misses[best], np.empty(0), float(len(every))) - _nats(size, np.empty(0), 1.0)
+    none = np.empty(0)
+    nats = _nats(misses[best][:, None], none, float(len(every))) - _nats(size[:, None], none, 1.0)
     return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), Seen(nats))
 
 
@@ -98,6 +103,26 @@ def turns_between(gyroscope: Samples | None, bins: Bins, gravity: float) -> list
         Step(float(c.t[0]), float(c.t[-1]), c.t, c.rate, baseline.up[c.first : c.first + 2])
         for c in cuts(gyroscope, bins)
     ]
+
+
+def _rescaled(found: list[Step]) -> tuple[list[Step], Array]:
+    """Return the turns, rates multiplied by the factor that lets most of them fit, and their misses, rad.
+
+    A wrong common scale of the gyroscope, as of a nominal value of one count, would else hide what is
+    exchanged behind its own misses. Within a factor of 1.5, and to 1 %: what is left is within `LEAST_MISS`.
+    """
+    size = _misses(found, np.eye(3))
+    if TIMES * float(np.quantile(size, SOUND_PART)) <= FAR:
+        return found, size
+    some = found[:: -(-len(found) // MOST_SCALED)]
+
+    def scatter(factor: float) -> float:
+        return float(np.quantile(_misses(some, factor * np.eye(3)), SOUND_PART))
+
+    best = min(np.exp(np.arange(-0.4, 0.41, 0.05)), key=scatter)
+    best = min(best * np.exp(np.arange(-0.04, 0.041, 0.01)), key=scatter)
+    scaled = [replace(s, rate=best * s.rate) for s in found]
+    return scaled, _misses(scaled, np.eye(3))
 
 
 def _misses(found: Sequence[Step], gyro: Array) -> Array:
@@ -135,7 +160,7 @@ def _explained(
     found: list[Step], size: Array, bad: NDArray[np.bool_], span: tuple[int, int]
 ) -> Finding | None:
     """Return the finding of the simplest exchange that mends the stretch."""
-    limit = max(FAR, TIMES * float(np.quantile(size, 0.3)))
+    limit = max(FAR, TIMES * float(np.quantile(size, SOUND_PART)))
     rows = range(span[0], span[1] + 1)
     same = np.eye(3)
     best = (0.0, "", same)
@@ -149,19 +174,21 @@ def _explained(
     if share < MENDED:
         return None
     mends = (change, same) if sensor == "accel" else (same, change)
-    misses = np.array([min(found[i].miss(*mends, e) for e in _edges(i, span)) for i in rows])
-    seen = Seen(_nats(misses[1:-1], size[~bad], 2.0 * len(_exchanges()) * 0.5 * size.size**2))
+    misses = [np.array([found[i].miss(*mends, e) for e in _edges(i, span)]) for i in rows]
+    seen = Seen(_nats(misses, size[~bad], 2.0 * len(_exchanges()) * 0.5 * size.size**2))
     return _stated(found, size, span, (sensor, change), seen)
 
 
-def _nats(misses: Array, sound: Array, tries: float) -> float:
-    """Return the evidence for an exchange that leaves `misses` (k,), rad, in turns that fitted nothing.
+def _nats(misses: Sequence[Array], sound: Array, tries: float) -> float:
+    """Return the evidence for an exchange that leaves `misses`, rad, in turns that fitted nothing.
 
-    With it they are those of the other turns, `sound` (n,), Rayleigh distributed, but one in `1 / STRAY`;
-    without it gravity goes anywhere on the sphere. tries: exchanges of both sensors, times spans of turns.
+    misses: (e,) of each turn, by which of its parts are exchanged (`_edges`), alike before the data. With
+    the exchange they are those of the other turns, `sound` (n,), Rayleigh distributed, but one in
+    `1 / STRAY`; without it gravity goes anywhere on the sphere. tries: exchanges of both sensors, times
+    spans of turns.
     """
     scale = max(float(np.mean(sound**2)) / 2.0, LEAST_MISS**2) if sound.size else FAR**2
-    ratio = 2.0 / scale * np.exp(-0.5 * misses**2 / scale)
+    ratio = np.array([2.0 / scale * np.exp(-0.5 * miss**2 / scale).mean() for miss in misses])
     return float(np.log((1.0 - STRAY) * ratio + STRAY).sum()) - float(np.log(tries))
 
 

@@ -21,7 +21,7 @@ def changed(samples: Samples, change: np.ndarray, start: float = 0.0, end: float
     return replace(samples, xyz=np.where(inside[:, None], samples.xyz @ change.T, samples.xyz))
 
 
-CYCLED = np.eye(3)[[1, 2, 0]]
+CYCLED, SWAPPED = np.eye(3)[[1, 2, 0]], np.eye(3)[[1, 0, 2]]
 
 
 @pytest.mark.parametrize(
@@ -47,8 +47,7 @@ def test_two_conventions_are_told_by_the_exchange_that_mends_all_turns(
 
 def test_axes_that_are_exchanged_for_a_while_are_told_with_when() -> None:
     force, spin, _ = day()
-    swapped = np.eye(3)[[1, 0, 2]]
-    force = changed(force, swapped, 300.0, 700.0)
+    force = changed(force, SWAPPED, 300.0, 700.0)
     turns = turns_between(spin, cut(force, spin), G)
     found = garbled(turns)
     assert found is not None and (found.effect, found.sensor, found.axes) == (
@@ -58,6 +57,15 @@ def test_axes_that_are_exchanged_for_a_while_are_told_with_when() -> None:
     )
     assert abs(found.where.t_start - 300.0) < 60.0 and abs(found.where.t_end - 700.0) < 60.0
     assert other_axes(turns) is None
+
+
+@pytest.mark.parametrize(("end", "scale"), [(440.0, 1.0), (700.0, 0.75)])
+def test_a_short_while_and_a_wrong_scale_of_the_gyroscope_hide_no_exchange(end: float, scale: float) -> None:
+    """At the edges of a while only a part of a turn is exchanged; it speaks for the exchange all the same."""
+    force, spin, _ = day()
+    force, spin = changed(force, SWAPPED, 300.0, end), changed(spin, scale * np.eye(3))
+    found = garbled(turns_between(spin, cut(force, spin), G))
+    assert found is not None and (found.sensor, found.axes) == ("accel", ["x", "y"])
 
 
 def test_sound_axes_are_silent() -> None:
