@@ -63,6 +63,7 @@ class Examination:
     aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
     with the hypotheses they state. timed: whether it is known when what was recorded.
     exchanged: the sensor whose axes were exchanged; if for a while, nothing slow of it is searched for.
+    other_axes: the finding where they are exchanged throughout.
     delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
     why_no_delay: the reason then, "" where motion is too little to look for it.
     """
@@ -78,6 +79,7 @@ class Examination:
     statements: list[Stated]
     timed: bool = True
     exchanged: str = ""
+    other_axes: Finding | None = None
     delay: Measured | None = None
     why_no_delay: str = ""
 
@@ -188,7 +190,8 @@ def examine(
             stated += found
         progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(residuals))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
-                       exchanged=next((f.sensor for f in (spoiled, turned) if f), ""))  # fmt: skip
+                       exchanged=next((f.sensor for f in (spoiled, turned) if f), ""),
+                       other_axes=turned)  # fmt: skip
     spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
     made = _with_motion(made, spoilt, without, sound, search=search)
     made = _with_tilts(made, seconds, spoilt) if search else made

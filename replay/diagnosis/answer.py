@@ -189,6 +189,7 @@ def _finding(
         out["simulated" if one.relation == "superfluous" else "parameters"] |= told
     if one.departure is not None:
         out["departure"] = asdict(one.departure) | {"probability": one.departure.probability}
+    out |= {"put_right": one.put_right} if one.put_right else {}
     found = one.recorded or one.simulated
     observed = "" if found is None else found.observed
     out["statement"] = " ".join(filter(None, (statement(out, names, observed), one.note)))

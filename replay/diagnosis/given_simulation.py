@@ -13,13 +13,18 @@ import numpy as np
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.assumed_drivers import columns_over, course_over
+from stillcal.calib_core.diagnosis.comparison.axes import Exchange, exchange_of
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import driver_of
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of
@@ -38,7 +43,54 @@ def judge_simulation(recording: Recording, simulation: Recording, show_stage: Sh
     refuse_short(recording, simulation)
     recorded = examined(recording, show_stage)
     simulated = examined(simulation, show_stage)
+    for own, other, of_recording in ((recorded, simulated, True), (simulated, recorded, False)):
+        exchange = exchange_of(own, other)
+        which = recording if of_recording else simulation
+        if exchange is None or isinstance(which, LongRecording):
+            continue
+        assert own.other_axes is not None, "it has an exchange"
+        right = put_right(which, exchange)
+        again = examined(right, show_stage, name=f"{right.name} with its axes put right")
+        both = (right, again, simulation, simulated) if of_recording else (recording, recorded, right, again)
+        judged = judge_examined(*both, show_stage=show_stage)
+        return _with_exchange(judged, exchange, own.other_axes, of_recording=of_recording)
     return judge_examined(recording, recorded, simulation, simulated, show_stage=show_stage)
+
+
+def put_right(recording: Recording, exchange: Exchange) -> Recording:
+    """Return a recording of which the exchanged axes are put right."""
+
+    def right(samples: Samples, sensor: str) -> Samples:
+        matrix = exchange.matrices.get(sensor)
+        return samples if matrix is None else replace(samples, xyz=frozen(samples.xyz @ matrix.T))
+
+    accel, gyro = recording.accelerometer, recording.gyroscope
+    return replace(
+        recording,
+        accelerometer=right(accel, "accel"),
+        gyroscope=None if gyro is None else right(gyro, "gyro"),
+    )
+
+
+def _with_exchange(judged: Judged, exchange: Exchange, shown: Finding, *, of_recording: bool) -> Judged:
+    """Return what was judged with axes put right, and their exchange as findings beside it.
+
+    shown: the exchange as turns show it.
+    """
+    assert judged.simulated is not None, "of a given simulation"
+    nats = shown.evidence.log_bayes_factor
+    probability = posterior(nats, max(judged.before.comparisons, 1))
+    said = f"{exchange.said} All else was compared with these axes put right."
+    found = [
+        replace(sole_discrepancy((finding, of_recording), probability), put_right=said)
+        for finding in exchange.findings(shown)
+    ]
+    before = Comparison(discrepancies=found, evidence=[(shown.effect, nats)]).and_of(judged.before)
+    not_put_in = judged.answer["fit"]["not_put_in"]
+    fit = Fit.of(before, judged.after or judged.before, not_put_in)
+    names = judged.answer["recording"], judged.answer["simulation"]
+    answer = answered(before, fit, judged.recorded, judged.simulated, names)
+    return replace(judged, before=before, answer=answer)
 
 
 def judge_examined(

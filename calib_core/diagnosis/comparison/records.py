@@ -27,6 +27,7 @@ class Discrepancy:
 
     probability: of a difference, against none; log_bayes_factor: nats for it. recorded, simulated: a single
     recording's finding where it comes from one. note: what was assumed, a sentence, "" for nothing.
+    put_right: of exchanged axes, whose they are and that all else was compared without, "" if it was not.
     of_either: whether it is not known which of the two has it; the relation is then as if the recording had.
     """
 
@@ -41,6 +42,7 @@ class Discrepancy:
     recorded: Finding | None = None
     simulated: Finding | None = None
     note: str = ""
+    put_right: str = ""
     of_either: bool = False
 
     @property

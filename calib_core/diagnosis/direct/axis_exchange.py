@@ -84,7 +84,7 @@ def other_axes(found: list[Step]) -> Finding | None:
     size = _misses(found, np.eye(3))
     if np.median(size) < FAR:
         return None
-    every = _exchanges()
+    every = exchanges()
     misses = [_misses(found, change) for change in every]
     best = int(np.argmin([np.median(miss) for miss in misses]))
     if np.median(misses[best]) > FAR:
@@ -147,7 +147,7 @@ def _stretch(bad: NDArray[np.bool_]) -> tuple[int, int] | None:
     return first, last - 1
 
 
-def _exchanges() -> list[Array]:
+def exchanges() -> list[Array]:
     """Return all exchanges of axes and signs but the one that changes nothing, the simplest first."""
     made = []
     for order, signs in product(permutations(range(3)), product((1.0, -1.0), repeat=3)):
@@ -164,7 +164,7 @@ def _explained(
     rows = range(span[0], span[1] + 1)
     same = np.eye(3)
     best = (0.0, "", same)
-    for change, sensor in product(_exchanges(), ("accel", "gyro")):
+    for change, sensor in product(exchanges(), ("accel", "gyro")):
         accel, gyro = (change, same) if sensor == "accel" else (same, change)
         mended = [min(found[i].miss(accel, gyro, e) for e in _edges(i, span)) < limit for i in rows if bad[i]]
         share = float(np.mean(mended)) - 1e-3 * float(np.abs(change - same).sum())
@@ -175,7 +175,7 @@ def _explained(
         return None
     mends = (change, same) if sensor == "accel" else (same, change)
     misses = [np.array([found[i].miss(*mends, e) for e in _edges(i, span)]) for i in rows]
-    seen = Seen(_nats(misses, size[~bad], 2.0 * len(_exchanges()) * 0.5 * size.size**2))
+    seen = Seen(_nats(misses, size[~bad], 2.0 * len(exchanges()) * 0.5 * size.size**2))
     return _stated(found, size, span, (sensor, change), seen)
 
 

@@ -173,10 +173,10 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
     if finding["effect"] != "axis_exchange":
         return ""
     start, end = finding["where"]["t_start"], finding["where"]["t_end"]
-    return (
-        f" The turns between rests show it from {start:.0f} to {end:.0f} s; they do not tell it from an"
-        " exchange of the other sensor's axes."
-    )
+    shown = f" The turns between rests show it from {start:.0f} to {end:.0f} s"
+    if told := finding.get("put_right"):
+        return f"{shown}. {told}"
+    return f"{shown}; they do not tell it from an exchange of the other sensor's axes."
 
 
 def _departing(finding: Mapping[str, Any]) -> str:
