@@ -102,6 +102,13 @@ def measured_directly(exam: Examination) -> dict[Key, tuple[Measured, Quantity]]
     return out
 
 
+def jitter_of(samples: Samples) -> float:
+    """Return the standard deviation of stamps, s, as it is compared; 0 where they show none."""
+    measured = quantities.of_stamps(samples).get("timestamp_jitter")
+    sigma = 0.0 if measured is None else _linear(measured, LEAST_JITTER, sample_period(samples.t)).value
+    return sigma if sigma > LEAST_SIGMA else 0.0
+
+
 LEAST_SHARE, LEAST_SIGMA = 1e-4, 1e-6
 """Share of samples, and s of jitter, that are as good as none."""
 

@@ -90,7 +90,7 @@ def other_axes(found: list[Step]) -> Finding | None:
     if np.median(misses[best]) > FAR:
         return None
     none = np.empty(0)
-    nats = _nats(misses[best][:, None], none, float(len(every))) - _nats(size[:, None], none, 1.0)
+    nats = _nats([*misses[best][:, None]], none, float(len(every))) - _nats([*size[:, None]], none, 1.0)
     return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), Seen(nats))
 
 

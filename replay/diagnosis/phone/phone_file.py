@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.direct import jitter_of
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.model.earth import ground, shared_rate
 from stillcal.calib_core.diagnosis.noise.low_pass import quiet
@@ -84,16 +85,13 @@ def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
     stamps = stamps_measured(recording.accelerometer)
     return ClockSettings(
         shared=_same_stamps(recording.accelerometer, recording.gyroscope),
-        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{stamps.scatter:.4g}"),
+        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{jitter_of(recording.accelerometer):.4g}"),
         drop_fraction=0.0 if "dropped_samples" in names else float(f"{stamps.missing:.3g}"),
     )
 
 
 PIECES = 40
 """Spans of time of equally many intervals, whose median is robust against a few disturbed ones."""
-
-NEAR = 0.75
-"""An interval that is off by a larger share of the period is no scatter, but a gap or a burst."""
 
 WHOLE = 0.25
 """Part of a period by which a gap may be off a whole number of them."""
@@ -106,12 +104,10 @@ LONGEST_GAP = 50
 class Stamps:
     """How a recording is stamped.
 
-    rate: Hz, of samples taken, the missing ones among them; scatter: s, standard deviation of a stamp about
-    an even rate; missing: part of the samples.
+    rate: Hz, of samples taken, the missing ones among them; missing: part of the samples.
     """
 
     rate: float
-    scatter: float
     missing: float
 
 
@@ -122,9 +118,6 @@ def stamps_measured(samples: Samples) -> Stamps:
     """
     steps, period = np.diff(samples.t), 1.0 / median_rate_hz(samples)
     parts = np.array_split(steps, PIECES)
-    even = [p[np.abs(p - period) < NEAR * period] for p in parts]
-    second = np.concatenate([np.diff(e) for e in even])
-    scatter = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if second.size else 0.0
     lost = [np.rint(p / period) - 1.0 for p in parts]
     # Only gaps of whole periods are samples that are missing; a pause in one place is no loss everywhere.
     whole = [
@@ -134,7 +127,7 @@ def stamps_measured(samples: Samples) -> Stamps:
         np.median([np.maximum(n, 0.0)[w].sum() / max(n.size, 1) for n, w in zip(lost, whole, strict=True)])
     )
     missing = share / (1.0 + share) if share / (1.0 + share) <= MOST_MISSING else 0.0
-    return Stamps(float(np.exp(counted_rate(samples).value[0])), scatter, missing)
+    return Stamps(float(np.exp(counted_rate(samples).value[0])), missing)
 
 
 def _claims(recording: Recording) -> Claims:

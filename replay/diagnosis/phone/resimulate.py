@@ -186,11 +186,15 @@ def _added(
     effects: Sequence[Effect], sensor: Sensor, raw: Moment, recording: Recording, conditions: Conditions
 ) -> Array:
     """Return what effects added to a sensor's samples (n, 3)."""
-    moment = raw
-    turning = np.linalg.norm(moment.rate, axis=1, keepdims=True) > SLOWEST
-    moment = replace(moment, rate=moment.rate * turning, rate_dot=moment.rate_dot * turning)
+    moment = _turning(raw)
     rate_hz = median_rate_hz(recording.accelerometer)
     return effects_output(effects, sensor, moment, conditions, rate_hz)
+
+
+def _turning(moment: Moment) -> Moment:
+    """Return the true input without rates that are noise at rest."""
+    turns = np.linalg.norm(moment.rate, axis=1, keepdims=True) > SLOWEST
+    return replace(moment, rate=moment.rate * turns, rate_dot=moment.rate_dot * turns)
 
 
 def moment_of(recording: Recording, motion: Motion, conditions: Conditions, at: Array) -> Moment:
@@ -319,6 +323,8 @@ class _Played:
         warmth = late.warmth if temperature is None else temperature - conditions.reference_c
         charging = conditions.surroundings.charging.at(ticks.t)
         moment = replace(late, t=ticks.t, warmth=warmth, charging=charging)
+        # What no lever arm took off the recorded force, none may add to it.
+        moment = moment if self._sensor is Sensor.GYROSCOPE else _turning(moment)
         raw, rows = self._chain.read(moment), ticks.rows
         warm = None if temperature is None or self._sensor is Sensor.GYROSCOPE else frozen(temperature[rows])
         arrival = None if accel.t_arrival is None else frozen(ticks.arrival[rows] + conditions.t_start)

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
+from stillcal.calib_core.diagnosis.comparison.direct import jitter_of
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.phone.resimulate import moment_of, motion_of
+from stillcal.replay.diagnosis.phone.phone_file import phone_of
+from stillcal.replay.diagnosis.phone.resimulate import Motion, moment_of, motion_of, resimulate
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.phone.effects.on_input import VibrationTone
+from stillcal.replay.phone.effects.on_input import LeverArm, VibrationTone
+from stillcal.replay.phone.phone import Phone
+from stillcal.replay.phone.settings import SensorSettings
 
 T = np.arange(0.0, 120.0, 0.02)
 TONE = VibrationTone(frequency=11.0, amplitude=(0.3, 0.2, 0.1))
@@ -44,3 +51,32 @@ def test_a_single_moment_of_a_motion_can_be_played() -> None:
     )
     moment = moment_of(recording, motion, conditions, T[1:2])
     assert moment.rate_dot.shape == (1, 3) and not moment.rate_dot.any()
+
+
+@pytest.mark.parametrize(("rate", "felt"), [(0.01, False), (1.0, True)])
+def test_noise_of_the_rate_acts_through_no_lever_arm(rate: float, felt: bool) -> None:
+    """None of it was taken off the recorded force: a line of the gyroscope became one of the force."""
+    force = frozen(np.tile([0.0, 0.0, STANDARD], (T.size, 1)))
+    turning = np.outer(rate * np.sin(2.0 * np.pi * 5.0 * T), [1.0, 0.0, 0.0])
+    accel = Samples(Sensor.ACCELEROMETER, frozen(T), force)
+    streams = accel, replace(accel, sensor=Sensor.GYROSCOPE, xyz=frozen(0.0 * force))
+    recording = Recording(*streams, [], Claims(), [])
+    conditions = conditions_of(still_bins(*streams))
+    ideal = SensorSettings(rate_hz=50.0)
+    phone = Phone(accel=ideal, gyro=ideal, effects=(LeverArm(position=(0.0, 0.05, 0.0)),))
+    played = resimulate(recording, Motion(T, force, T, turning), conditions, phone)
+    assert (np.ptp(played.accelerometer.xyz, axis=0).max() > 0.01) == felt
+
+
+def test_a_phone_has_the_jitter_that_is_compared() -> None:
+    """Of stamps most of which are exact, a median said that they have none."""
+    late = T + 9e-4 * (np.arange(T.size) % 50 == 7)
+    force = frozen(np.tile([0.0, 0.0, STANDARD], (T.size, 1)))
+    samples = Samples(Sensor.ACCELEROMETER, frozen(late), force)
+    recording = Recording(samples, None, [], Claims(), [])
+    bins = still_bins(samples, None)
+    conditions = conditions_of(bins)
+    affine = fit_affine(bins, [], conditions, STANDARD)
+    made = phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD)
+    assert made.clock.jitter_s == pytest.approx(jitter_of(samples), rel=1e-3)
+    assert 0.5e-4 < made.clock.jitter_s < 2e-4, "9e-4 / sqrt(50)"

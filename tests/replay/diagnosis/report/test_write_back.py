@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.direct import jitter_of
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
@@ -137,7 +138,7 @@ def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does
     uneven = msgspec.structs.replace(phone_with().clock, jitter_s=3e-4, drop_fraction=0.005)
     real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
     stamps = stamps_measured(real.accelerometer)
-    scatter, missing = stamps.scatter, stamps.missing
+    scatter, missing = jitter_of(real.accelerometer), stamps.missing
     assert stamps.rate == pytest.approx(25.0, rel=1e-4), "the samples that are missing count once"
     assert scatter == pytest.approx(3e-4, rel=0.05)
     assert missing == pytest.approx(0.005, rel=0.3)
