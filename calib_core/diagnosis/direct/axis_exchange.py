@@ -179,7 +179,7 @@ def _explained(
     return _stated(found, size, span, (sensor, change), seen)
 
 
-def _nats(misses: Sequence[Array], sound: Array, tries: float) -> float:
+def _nats(misses: Sequence[Array] | Array, sound: Array, tries: float) -> float:
     """Return the evidence for an exchange that leaves `misses`, rad, in turns that fitted nothing.
 
     misses: (e,) of each turn, by which of its parts are exchanged (`_edges`), alike before the data. With
