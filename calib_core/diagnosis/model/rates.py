@@ -11,6 +11,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.earth import RATE, Ground
 from stillcal.calib_core.diagnosis.model.residuals import View, attitudes
+from stillcal.calib_core.diagnosis.model.turning_support import courses, turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
 
@@ -36,21 +37,31 @@ def tilt_rate(bins: Bins, up: Array) -> Array:
 
     up: (n, 3) unit gravity, bin by bin. The rate across gravity is d(up)/dt x up; the turn about gravity is
     not seen. The slope is that of a parabola through as many neighbouring bins of a rest as keep its noise
-    below `ADDED` of the gyroscope's, or of a line through two; rests with fewer bins give none, 0.
+    below `ADDED` of the gyroscope's, or of a line through two; rests with fewer bins give none, 0. Motion
+    itself is taken for noise there, and many bins smooth a swing away: fewer, 3 at least, are taken where the
+    gyroscope's rate varies less about what they show. Noise alone never makes it vary less.
     """
     rate = np.zeros_like(up)
-    assert bins.rate_variance is not None, "asked for with a gyroscope only"
+    assert bins.rate is not None and bins.rate_variance is not None, "asked for with a gyroscope only"
     noise = float(np.median(bins.force_variance)) / float(np.median(np.linalg.norm(bins.force, axis=1))) ** 2
     allowed = ADDED * float(np.median(bins.rate_variance))
     spacing = float(np.median(bins.duration))
     # A slope through m values of variance v, d apart, has the variance 12 v / (m^3 d^2).
     width = int(np.ceil(np.cbrt(12.0 * noise / (max(allowed, 1e-300) * spacing**2))))
-    least = max(2, width)
-    for r in np.flatnonzero(np.bincount(bins.rest) >= least):
+    least, odd = max(2, width), max(3, width + 1 - width % 2)
+    for r in np.flatnonzero(np.bincount(bins.rest) >= min(least, 3)):
         rows = np.flatnonzero(bins.rest == r)
-        through = min(max(3, width + 1 - width % 2), rows.size)
-        rate[rows] = np.cross(_slope(bins.t[rows], up[rows], through), up[rows])
+        usual = min(odd, rows.size) if rows.size >= least else 0
+        fewer = range(3, usual or rows.size + 1, 2)
+        tilts = [_tilt(bins.t[rows], up[rows], n) for n in (usual, *fewer)]
+        left = [float((bins.rate[rows] - tilt).var(axis=0).sum()) for tilt in tilts]
+        rate[rows] = tilts[int(np.argmin(left))]
     return rate
+
+
+def _tilt(t: Array, up: Array, through: int) -> Array:
+    """Return the rate (n, 3) rad/s of tilt of up (n, 3) in one rest; none, 0, through no bins."""
+    return np.cross(_slope(t, up, through), up) if through else np.zeros_like(up)
 
 
 def _slope(t: Array, values: Array, width: int) -> Array:
@@ -72,7 +83,7 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
 
     The Earth's rate is shared by the axes (`earth_rate`), as far as headings are known (`over`). What is not,
     all bins of a rest share, and half of it all rests in one attitude, for a phone often lies again as it lay
-    before.
+    before. A turn of the support about gravity that the rests show (`turning_support`) is no bias.
     """
     if bins.rate is None or bins.rate_variance is None:
         return []
@@ -83,13 +94,15 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
     tilting = np.linalg.norm(motion, axis=1)
     seen = tilting > 0.0
     unseen = np.where(seen, 0.0, rms(tilting[seen]))
+    between, within = turning(bins, up, motion)
+    course = courses(bins, within)
     linear = OF_ATTITUDE * RATE * up * np.sqrt(lost)[:, None]
     return [
         View(
             name=f"rate_{'xyz'[a]}",
             y=bins.rate[None, :, a],
             baseline=np.ones((1, n, 1)),
-            variance=bins.rate_variance[:, a] + (SHAPE_ERROR * motion[:, a]) ** 2,
+            variance=bins.rate_variance[:, a] + (SHAPE_ERROR * motion[:, a]) ** 2 + (within * up[:, a]) ** 2,
             coupling=np.ones((n, n)),
             project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
             bins=np.arange(n),
@@ -101,8 +114,11 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
                 (place, np.sqrt(heading[:, a])),
                 (bins.rest, TWIST * tilting * np.abs(up[:, a])),
                 (bins.rest, unseen),
+                (bins.rest, between * np.abs(up[:, a])),
             ),
-            absorbed=np.column_stack([np.delete(linear, a, axis=1), motion[:, a]]),
+            absorbed=np.column_stack(
+                [np.delete(linear, a, axis=1), motion[:, a], course * np.abs(up[:, a, None])]
+            ),
         )
         for a in range(3)
     ]

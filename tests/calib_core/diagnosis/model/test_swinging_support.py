@@ -1,0 +1,54 @@
+"""What a support does that swings or turns is motion, and no error of the gyroscope."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.model.rates import tilt_rate
+from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.turning_support import turning
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from stillcal.calib_core.maths.rms import rms
+from tests.calib_core.diagnosis.slow.test_between_rest_variance import by_rest, short_rests
+from tests.support.diagnosis import nulls
+
+
+def moored(seed: int, family: str = "white") -> Bins:
+    """Return a day on a boat whose heading swings by 3 degrees in 180 s."""
+    rng, day = short_rests(seed)
+    rate = 0.05 * 2.0 * np.pi / 180.0 * np.cos(2.0 * np.pi * day.t / 180.0)
+    return nulls.bins_of(rng, day, family, gyro_error=day.up * rate[:, None])
+
+
+def test_a_boat_whose_heading_swings_raises_no_alarm() -> None:
+    assert slow_findings(scenes(moored(3), nulls.G)[1]) == []
+
+
+def test_a_turn_about_gravity_is_told_from_a_bias_that_is_another_in_every_rest() -> None:
+    for seed in range(3):
+        bins = moored(seed)
+        gravity = bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
+        between, within = turning(bins, gravity, np.zeros_like(gravity))
+        assert 5e-4 < between < 3e-3 and 5e-4 < within < 3e-3
+        rng, day = short_rests(seed)
+        error = by_rest(rng, day, np.array([0.0, 0.0, 1e-3]))
+        biased = nulls.bins_of(rng, day, "white", gyro_error=error)
+        assert turning(biased, gravity, np.zeros_like(gravity)) == (0.0, 0.0)
+
+
+def test_a_swing_is_followed_where_it_is_itself_taken_for_noise() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(600.0)
+    angle = 0.09 * np.sin(2.0 * np.pi * t / 100.0)
+    up = np.stack([np.sin(angle), np.zeros_like(t), np.cos(angle)], axis=1)
+    rate = np.cross(np.gradient(up, axis=0), up)
+    day = nulls.Day(t, np.zeros(600, dtype=np.int64), up, 25.0 + 0.0 * t, 0.0 * t)
+    bins = nulls.bins_of(rng, day, "white", gyro_error=rate)
+    bins = replace(bins, force_variance=1e3 * bins.force_variance)
+    assert bins.rate is not None
+    seen = tilt_rate(bins, bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True))
+    varies = bins.rate - bins.rate.mean(axis=0)
+    assert rms((bins.rate - seen) - (bins.rate - seen).mean(axis=0)) < 0.4 * rms(varies)
