@@ -49,6 +49,9 @@ SHAKEN = "vibration power"
 OF_JUMPS = (curves.pulses, curves.switches)
 """Dictionaries whose courses are several jumps."""
 
+EIGHTHS = 8
+"""Parts of a recording between which a gain in turns may change: as few turns as are needed tell no finer."""
+
 GAIN = Linear("gain", "1", 3, 0.02)
 SLOPE = Linear("slope", "1/K", 3, 1e-3)
 
@@ -341,6 +344,25 @@ class GainInTurns(Unknown):
         return on_axes(moments.rate * (moments.age / (end - start) - 0.5)[:, None])
 
 
+class GainFromMomentInTurns(Unknown):
+    """A gyroscope's gain that is another from a moment on, at one of the eighths of the recording."""
+
+    what = "gain"
+    in_turns = True
+
+    def __init__(self) -> None:
+        super().__init__("gyro", "rate of turn from a moment on", GAIN, TURN_PENALTY)
+
+    def points(self, moments: Moments) -> Sequence[Grid]:
+        """Return the moments: turns between rests tell them no better."""
+        return [{"t_start": float(t)} for t in np.linspace(*moments.history.span, EIGHTHS + 1)[1:-1]]
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the rate on each axis after the moment."""
+        assert moments.rate is not None, "a turn has a rate"
+        return on_axes(moments.rate * (moments.t >= grid["t_start"])[:, None])
+
+
 class GainByDirection(Unknown):
     """A gyroscope's gain that differs between the two directions of rotation."""
 
@@ -369,7 +391,7 @@ def unknown_effects(sensor: str) -> list[Effect]:
     if sensor == "accel":
         own += [ForceCurve(), GainBySign(), GainInStretch(), GainFromMoment(), GainInTime(), CrossedForce()]
     else:
-        own += [GainByDirection(), GainInTurns()]
+        own += [GainByDirection(), GainInTurns(), GainFromMomentInTurns()]
     many = (
         ("a stretch of time", curves.pulses, 1),
         ("two levels in time", curves.switches, 1),

@@ -47,7 +47,12 @@ def test_a_scale_that_follows_temperature_keeps_its_name() -> None:
 
 @pytest.mark.parametrize(
     ("name", "driver"),
-    [("ageing", "time x rate of turn"), ("lopsided", "size of the rate of turn"), ("none", "")],
+    [
+        ("ageing", "time x rate of turn"),
+        ("changed", "rate of turn from a moment on"),
+        ("lopsided", "size of the rate of turn"),
+        ("none", ""),
+    ],
 )
 def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
     force, spin, _ = day()
@@ -55,6 +60,7 @@ def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
     rate = np.where(turning[:, None], spin.xyz - 0.005, 0.0)
     error = {
         "ageing": 0.01 * rate * (spin.t / spin.t[-1])[:, None],
+        "changed": 0.01 * rate * (spin.t > 0.4 * spin.t[-1])[:, None],
         "lopsided": 0.01 * np.abs(rate),
         "none": 0.0 * rate,
     }[name]
