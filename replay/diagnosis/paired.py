@@ -43,7 +43,6 @@ from stillcal.replay.diagnosis.judged import (
     refuse_short,
     silent,
 )
-from stillcal.replay.diagnosis.owners import findings_alone
 from stillcal.replay.formats.trace import Recording
 
 SAME_STAMP = 0.1
@@ -77,8 +76,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0, motion.added)
     exam = examined_in_pair(recorded, bins, scenes, motion.found, lambda done: show_stage(READINGS, done))
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
-    if any(d.effect == "unknown" for d in slow.discrepancies):
-        slow = with_owner_of_unknown(slow, findings_alone(recording), findings_alone(simulation))
+    slow = with_owner_of_unknown(slow, exam, recorded, simulated)
     before = slow.and_of(values)
     fit = Fit.of(before, before)
     if before.discrepancies:

@@ -1,43 +1,95 @@
-"""Something without a name that a recording and a simulation of its motion differ by: whose it is."""
+"""Something nameless that a recording and a simulation of its motion differ by: whose it is."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pair
+from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
+from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_owner_of_unknown
-from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, Readings
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.effects.unknown import Unknown
+from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.judged import examined
+from stillcal.replay.diagnosis.paired import less
+from stillcal.replay.formats.trace import Recording
+from tests.support.diagnosis.turned_pairs import RATE, turned
+
+SWING = np.array([3e-3, 3e-3, -3e-3])
+"""rad/s to both sides of nothing."""
 
 
-def _unknown(driver: str, nats: float, amplitude: float = 1.0) -> Finding:
-    where = Where(0.0, 600.0, (0.0, 0.05), driver)
-    size = Parameter([amplitude] * 3, None, "rad/s")
-    return Finding("unknown", "gyro", ["x"], where, {"amplitude": size}, Evidence(nats), [], "")
+def level(t: Array) -> Array:
+    """Return a square wave (n,) of 75 s, which jumps within turns and within rests."""
+    return np.where(t % 75.0 < 37.5, 1.0, -1.0)
+
+
+def swinging(seed: int, times: float) -> Recording:
+    def flaw(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force, rate + times * np.outer(level(np.arange(len(rate)) / RATE), SWING)
+
+    return turned(seed, flaw)
+
+
+def found_in_pair(recorded: float, simulated: float) -> tuple[Comparison, Scene, Hypothesis]:
+    """Return what is said where a course between two levels was found, 0 and 1, in the gyroscope."""
+    real, sim = swinging(1, recorded), swinging(2, simulated)
+    assert sim.gyroscope is not None
+    true = Readings(sim.accelerometer, sim.gyroscope)
+    bins, scenes = pair_scenes(less(real, true), true, [], 0.0)
+    scene = next(s for s in scenes if s.sensor == "gyro")
+    course = Unknown("gyro", "two levels in time", Linear("amplitude", "rad/s", 3, 0.02))
+    response = on_axes(0.5 + 0.5 * level(bins.t))
+    hypothesis = Hypothesis(course, {}, scene.columns_of(response))
+    where = Where(*bins.span, (0.0, 0.05), "two levels in time")
+    size = Parameter((2.0 * (recorded - simulated) * SWING).tolist(), None, "rad/s")
+    said = Finding("unknown", "gyro", ["x"], where, {"amplitude": size}, Evidence(50.0), [], "")
+    exams = [examined(one, search=False) for one in (real, sim)]
+    exam = replace(
+        exams[0], bins=bins, scenes=scenes, turns=None, statements=[Stated(said, hypothesis, scene)]
+    )
+    found = compare_in_pair(exam, Alignment(true, true, [], [], frozenset()))
+    return with_owner_of_unknown(found, exam, *exams), scene, hypothesis
 
 
 @pytest.mark.parametrize(
     ("recorded", "simulated", "relation", "either"),
-    [
-        ([("time", 20.0)], [], "lacking", False),
-        ([], [("time", 20.0)], "superfluous", False),
-        ([("time", 20.0)], [("time", 20.0)], "lacking", True),
-        ([("temperature", 20.0)], [("motion", 20.0)], "lacking", True),
-        ([], [], "lacking", True),
-    ],
+    [(1.0, 0.0, "lacking", False), (0.0, 1.0, "superfluous", False), (1.0, -1.0, "lacking", True)],
 )
-def test_what_has_no_name_is_of_the_one_that_shows_it_by_itself(
-    recorded: list[tuple[str, float]], simulated: list[tuple[str, float]], relation: str, either: bool
+def test_what_has_no_name_is_of_the_one_whose_own_rests_hold_it(
+    recorded: float, simulated: float, relation: str, either: bool
 ) -> None:
     """The difference of the readings does not tell it; the sign is that of the owner's own readings."""
-    found = _unknown("time", 50.0)
-    apart = Discrepancy("unknown", "gyro", ["x"], found.where, "lacking", 1.0, 50.0, recorded=found)
-    own = [_unknown(*one) for one in recorded]
-    other = [_unknown(*one, amplitude=-1.0) for one in simulated]
-    (one,) = with_owner_of_unknown(Comparison([apart]), own, other).discrepancies
+    found, _, _ = found_in_pair(recorded, simulated)
+    (one,) = (d for d in found.discrepancies if d.effect == "unknown")
     assert (one.relation, one.of_either) == (relation, either)
-    assert (one.recorded, one.simulated) == ((None, other[0]) if relation == "superfluous" else (found, None))
+    if relation == "superfluous":
+        assert one.recorded is None and one.simulated is not None
+        assert one.simulated.parameters["amplitude"].value == pytest.approx(2.0 * SWING)
     told = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1.0, 1.0), {}, None)
     text = told["findings"][0]["statement"]
     assert ("is not known" in text) == either
     assert text.startswith("sim.csv shows") == (relation == "superfluous")
+
+
+def test_a_course_between_two_levels_about_nothing_is_no_bias() -> None:
+    """Its lower level is where its form is zero, and not where the sensor has no error."""
+    found, _, _ = found_in_pair(0.0, 1.0)
+    assert "gyro_bias" not in {d.effect for d in found.discrepancies}
+
+
+def test_the_bins_in_which_a_course_jumps_are_no_motion() -> None:
+    """Their means lie between both levels, in motion as at rest."""
+    _, scene, hypothesis = found_in_pair(0.0, 1.0)
+    left = left_in_motion(scene, [hypothesis])
+    assert left is not None and left.finding(scene) is None

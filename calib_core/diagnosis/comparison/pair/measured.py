@@ -5,6 +5,7 @@ These constants are nuisances of the search, and are measured with what it found
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
@@ -88,7 +90,29 @@ def _fitted(exam: Examination, scene: Scene) -> tuple[list[Hypothesis], Array, A
     every = [_constants(scene), *own]
     whole = together(scene, every)
     fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
-    return every, fit.beta * whole.sizes, fit.covariance * np.outer(whole.sizes, whole.sizes)
+    value, covariance = fit.beta * whole.sizes, fit.covariance * np.outer(whole.sizes, whole.sizes)
+    return every, *_at_mean(scene, every, value, covariance)
+
+
+def _at_mean(
+    scene: Scene, every: Sequence[Hypothesis], value: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Return numbers (k,) and covariance (k, k), the bias at the mean of courses without a name.
+
+    Nobody knows at which value such a course is no error: its zero is wherever its form has it. So the bias
+    is that of the whole recording's mean, and the course's own variance is part of its error.
+    """
+    turned, spread = np.eye(value.size), np.zeros(value.size)
+    weights = scene.bins.duration / scene.bins.duration.sum()
+    for hypothesis, rows in zip(every, rows_of(every), strict=True):
+        effect = hypothesis.effect
+        if effect.name != "unknown" or effect.parameters[0].unit != UNIT[scene.sensor]:
+            continue
+        for axis, (columns,) in enumerate(hypothesis.columns):
+            turned[axis, rows] = weights @ columns
+            course = columns @ value[rows]
+            spread[axis] += weights @ (course - weights @ course) ** 2
+    return turned @ value, turned @ covariance @ turned.T + np.diag(spread)
 
 
 def _constants(scene: Scene) -> Hypothesis:

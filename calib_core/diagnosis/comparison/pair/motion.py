@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import ALL_AXES
@@ -79,6 +80,7 @@ def left_in_motion(scene: Scene, found: Sequence[Hypothesis] = ()) -> Motion | N
     moving = scene.views[0].moving
     if moving is None or not moving.any():
         return None
+    scene = _without_jumps(scene, found)
     unit = np.array([float(np.median(v.variance)) for v in scene.views])
     none = _log_likelihood(scene, np.zeros(3), found)
     coarse = _coarse(scene, unit, found)
@@ -90,6 +92,26 @@ def left_in_motion(scene: Scene, found: Sequence[Hypothesis] = ()) -> Motion | N
     fine = np.array([coarse.max(axis=0), *(_log_likelihood(scene, s * unit, found) for s in tried[1:])])
     best = tried[fine.argmax(axis=0), np.arange(3)] * unit
     return Motion(np.where(evidence > 0.0, best, 0.0), evidence)
+
+
+def _without_jumps(scene: Scene, found: Sequence[Hypothesis]) -> Scene:
+    """Return a scene in which the bins beside a jump of what was found are free.
+
+    The jump is somewhere in one of the two, whose mean then lies between both levels: that is no motion.
+    """
+    free = np.unique(np.concatenate([_beside_jumps(h) for h in found])) if found else np.zeros(0, np.int64)
+    if not free.size:
+        return scene
+    alone = np.eye(len(scene.bins))[None, :, free]
+    views = [replace(v, baseline=np.concatenate([v.baseline, alone], axis=2)) for v in scene.views]
+    return replace(scene, views=tuple(views))
+
+
+def _beside_jumps(hypothesis: Hypothesis) -> NDArray[np.int64]:
+    """Return the bins on both sides of each jump; none of what changes in more than half of the bins."""
+    columns = np.concatenate([c[0] for c in hypothesis.columns], axis=1)
+    jumps = np.flatnonzero((np.diff(columns, axis=0) != 0.0).any(axis=1))
+    return np.concatenate([jumps, jumps + 1]) if 2 * jumps.size < len(columns) else jumps[:0]
 
 
 def _coarse(scene: Scene, unit: Array, found: Sequence[Hypothesis]) -> Array:

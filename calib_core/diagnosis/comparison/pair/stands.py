@@ -2,7 +2,7 @@
 
 The difference of the readings says by how much the two differ, and not which of them has the effect. The
 simulation's own rests and turns say what it has; the recording has that and the difference. Something
-without a name is the one's that shows it by itself, else it may be of either.
+without a name is the one's whose own rests hold its course, else it may be of either.
 """
 
 from __future__ import annotations
@@ -21,16 +21,23 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     kind_of,
     wanted_of,
 )
-from stillcal.calib_core.diagnosis.comparison.pair.vote import nats_of, shares_alone, shown_alone
+from stillcal.calib_core.diagnosis.comparison.pair.vote import shares_alone
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
-from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
+from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
+from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.search import reduce_scene
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
+
+SURELY = float(np.log(CERTAIN / (1.0 - CERTAIN)))
+"""Evidence, nats, from which even odds become certain."""
 
 
 def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Examination) -> Comparison:
@@ -49,27 +56,77 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
 
 
 def with_owner_of_unknown(
-    found: Comparison, recorded: Sequence[Finding], simulated: Sequence[Finding]
+    found: Comparison, exam: Examination, recorded: Examination, simulated: Examination
 ) -> Comparison:
     """Return a comparison that says whose each difference without a name is, or that this is not known.
 
-    recorded, simulated: what each of the two shows by itself.
+    exam: of the pair; recorded, simulated: of each of the two by itself, not searched. The course that was
+    found in the pair is the one's whose own rests hold it.
     """
-    return replace(found, discrepancies=[_owned(d, recorded, simulated) for d in found.discrepancies])
+    stated = {id(s.finding): s for s in exam.statements}
+    out = []
+    for one in found.discrepancies:
+        if one.effect == "unknown":
+            said = stated.get(id(one.recorded))
+            beside = [s for s in exam.statements if s is not said]
+            alone = [0.0 if said is None else _shown_at_rest(said, beside, e) for e in (recorded, simulated)]
+            one = _owned(one, said, np.array(alone))  # noqa: PLW2901 - it is the same difference
+        out.append(one)
+    return replace(found, discrepancies=out)
 
 
-def _owned(one: Discrepancy, recorded: Sequence[Finding], simulated: Sequence[Finding]) -> Discrepancy:
-    """Return a difference without a name as the recording's, the simulation's, or that of either."""
-    if one.effect != "unknown":
-        return one
-    own, other = shown_alone(recorded, one), shown_alone(simulated, one)
-    of_recording, of_simulation = shares_alone(np.array([nats_of(own), nats_of(other)]))
-    if other is not None and of_simulation >= CERTAIN:
-        return replace(
-            one, relation="superfluous", axes=list(other.axes), where=other.where,
-            recorded=None, simulated=other,
-        )  # fmt: skip
-    return one if of_recording >= CERTAIN else replace(one, of_either=True)
+def _owned(one: Discrepancy, said: Stated | None, alone: Array) -> Discrepancy:
+    """Return a difference without a name as the recording's, the simulation's, or that of either.
+
+    alone: (2,) nats, how much the rests of each speak for it.
+    """
+    both_hold_it = bool((alone > SURELY).all())
+    of_recording, of_simulation = shares_alone(alone)
+    if both_hold_it or of_simulation < CERTAIN:
+        sure = of_recording >= CERTAIN and not both_hold_it
+        return one if sure else replace(one, of_either=True)
+    assert said is not None, "rests speak for what has a course"
+    had = _turned_about(said)
+    return replace(one, relation="superfluous", recorded=None, simulated=had)
+
+
+def _shown_at_rest(said: Stated, beside: Sequence[Stated], alone: Examination) -> float:
+    """Return how much the rests of one recording by itself speak for what a pair shows, nats; at least 0."""
+    scene = next((s for s in alone.scenes if s.sensor == said.finding.sensor), None)
+    if said.hypothesis is None or said.scene is None or scene is None:
+        return 0.0
+    if len(scene.bins) < thresholds.LEAST_BINS:
+        return 0.0
+    own = _read_at(scene, said.hypothesis, said.scene)
+    if not any(columns.any() for columns in own.columns):
+        return 0.0
+    others = [
+        _read_at(scene, s.hypothesis, s.scene)
+        for s in beside
+        if s.hypothesis is not None and s.scene is said.scene
+    ]
+    return max(log_bayes_factor(reduce_scene(scene, [own], others, parts=True), 1, 1.0), 0.0)
+
+
+def _read_at(scene: Scene, hypothesis: Hypothesis, pair: Scene) -> Hypothesis:
+    """Return a hypothesis of a pair's bins as the same course in one recording's rests, at their moments."""
+    t, known = scene.bins.t, pair.bins.t
+    per_axis = [np.array([np.interp(t, known, c) for c in columns[0].T]) for columns in hypothesis.columns]
+    response = np.moveaxis(np.stack(per_axis, axis=2), 0, 2)
+    return replace(hypothesis, columns=scene.columns_of(response, hypothesis.effect.blind))
+
+
+def _turned_about(said: Stated) -> Finding:
+    """Return what the recording shows against the simulation as what the simulation has: its negative."""
+    assert said.hypothesis is not None, "only what has a course is the simulation's"
+    linear = {p.name for p in said.hypothesis.effect.parameters}
+    own = {name: _negative(p) if name in linear else p for name, p in said.finding.parameters.items()}
+    return replace(said.finding, parameters=own)
+
+
+def _negative(one: Parameter) -> Parameter:
+    ends = None if one.ci95 is None else (-np.asarray(one.ci95, dtype=np.float64))[..., ::-1].tolist()
+    return Parameter((-np.asarray(one.value, dtype=np.float64)).tolist(), ends, one.unit)
 
 
 def _at_moments(exam: Examination) -> list[Wanted]:
