@@ -166,7 +166,8 @@ def _with_effects(
     turns = _Turns(own, reads, seen.pieces, _drivers(own, _turning(true, at_rest)))
     span = float(own.t[0]), float(own.t[-1])
     every = [Arm()] if of_force else effects_of("gyro", in_turns=True)
-    effects = [e for e in every if e.points(turns.drivers)]
+    # Linear in all that they have: nothing but numbers is fitted to samples, and no moment is looked for.
+    effects = [e for e in every if list(e.points(turns.drivers)) == [{}]]
     shown = [(one, f) for one in turns.shown(effects) if (f := one.finding(span)) is not None]
     more = sum((one.added(turns.drivers) for one, _ in shown), np.zeros_like(reads.xyz))
     added, reads = (replace(reads, xyz=frozen(xyz)) for xyz in (more, reads.xyz + more))
