@@ -54,8 +54,7 @@ class ForceNonlinearity(Effect):
 
     def response(self, moments: Moments, grid: Grid) -> Array:
         """Return powers of the force on each axis, (n, 3, 3 (degree - 1))."""
-        assert moments.force is not None, "no grid points without attitudes"
-        powers = [on_axes(moments.force**p) for p in range(2, self.degree + 1)]
+        powers = [on_axes(moments.force_power(p)) for p in range(2, self.degree + 1)]
         return np.concatenate(powers, axis=2)
 
 

@@ -24,7 +24,8 @@ class Scene:
     turns: the turns between rests that the one view holds, two residuals each; none where the views hold
     rests. covariates: further logged columns by name. shared: what all views see together whatever effect
     there is (the Earth's rate, of the gyroscope); None for nothing. sensed: (n, 3) m/s^2, gravity along the
-    sensor's own axes, as their scale and misalignment read it; None where these are the body's.
+    sensor's own axes, as their scale and misalignment read it; None where these are the body's. force_powers:
+    means (n, 3) of powers of the force by exponent, where bins hold motion.
     """
 
     sensor: str
@@ -36,6 +37,7 @@ class Scene:
     covariates: Mapping[str, Course] = field(default_factory=dict)
     shared: Hypothesis | None = None
     sensed: Array | None = None
+    force_powers: Mapping[int, Array] = field(default_factory=dict)
 
     @cached_property
     def moments(self) -> Moments:
@@ -43,7 +45,7 @@ class Scene:
         force = self.sensed
         if force is None and self.up is not None:
             force = self.gravity * self.up
-        return moments_of(self.bins, force, self.covariates)
+        return replace(moments_of(self.bins, force, self.covariates), force_powers=self.force_powers)
 
     @cached_property
     def column_means(self) -> dict[str, float]:

@@ -63,7 +63,8 @@ class Moments:
     t, duration: (n,) s, the middle of what a moment is the mean over and how long that is (0: an instant).
     force: (n, 3) m/s^2 and rate: (n, 3) rad/s, what true sensors would read, body axes; None where unknown.
     temperature: (n,) K about `history.reference_c`; charging: (n,) part of the moment on the charger;
-    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded.
+    vibration: (n,) (m/s^2)^2; rest: (n,) index of the rest; None where not recorded. force_powers: means
+    (n, 3) of powers of the force, by exponent, where the force changes within a moment.
     """
 
     t: Array
@@ -75,6 +76,7 @@ class Moments:
     charging: Array | None = None
     vibration: Array | None = None
     rest: Index | None = None
+    force_powers: Mapping[int, Array] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -90,6 +92,12 @@ class Moments:
         if self.force is None:
             return None
         return np.asarray(self.force / np.linalg.norm(self.force, axis=1, keepdims=True))
+
+    def force_power(self, exponent: int) -> Array:
+        """Return the mean (n, 3) of a power of the force on each axis; it must be known."""
+        assert self.force is not None, "asked only where the force is known"
+        known = self.force_powers.get(exponent)
+        return np.asarray(self.force**exponent if known is None else known)
 
     def column(self, name: str) -> Array:
         """Return a further logged column (n,), in its own unit, about its mean in the static bins."""

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.linear import MODEL_ERROR
 from stillcal.calib_core.diagnosis.comparison.pair.earth import of_ground
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
+from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
 from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View
@@ -52,6 +53,7 @@ def pair_scenes(
         least = thresholds.LEAST_BINS * 4
         raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
     known = None if added is None else cut_all(added.force, added.rate, events, span)
+    powers = {p: cut_all(_power(true.force, p), true.rate, events, span).force for p in FEWEST_OF_DEGREE}
     bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
     up = moved.force / STANDARD
 
@@ -59,7 +61,8 @@ def pair_scenes(
         sensor: str, mean: Array, variance: Array, read: Samples, inputs: tuple[Array, Array | None]
     ) -> Scene:
         shaken = mismatch**2 * shaking(read, left)[:, None]
-        return Scene(sensor, bins, _views(left, mean, variance + shaken, inputs, judged), STANDARD, up)
+        views = _views(left, mean, variance + shaken, inputs, judged)
+        return Scene(sensor, bins, views, STANDARD, up, force_powers=powers)
 
     inputs = (moved.force, None if known is None else known.force)
     scenes = [scene("accel", left.force, left.force_variance, true.force, inputs)]
@@ -69,6 +72,11 @@ def pair_scenes(
         gyro = scene("gyro", left.rate, left.rate_variance, true.rate, inputs)
         scenes.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
     return bins, scenes
+
+
+def _power(samples: Samples, exponent: int) -> Samples:
+    """Return a power of each value. In motion its mean over a bin is another than that of the mean."""
+    return replace(samples, xyz=frozen(samples.xyz**exponent))
 
 
 def _with_earth(scene: Scene, rate: Samples, still: NDArray[np.bool_]) -> Scene:
