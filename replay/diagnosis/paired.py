@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     without_equation,
     without_found,
 )
+from stillcal.calib_core.diagnosis.comparison.pair.delay import SURE, late
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, shared_as_it_is
 from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
@@ -48,6 +49,10 @@ from stillcal.replay.formats.trace import Recording
 SAME_STAMP = 0.1
 """Part of the sample period by which two stamps of one moment may differ: rounding, and no more."""
 
+SHIFTED = 0.02
+"""s by which both sensors may be late alike: the narrowest filter of a phone's sensor delays by 19 ms
+(MPU-6050, 5 Hz). More is a matter of stamps."""
+
 READINGS = "comparing the readings of one motion"
 AGAIN = "comparing again, without what was found"
 
@@ -69,6 +74,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     beside = len(list(slow_effects(recorded)))
     values = compare_samples(exams, names, beside)
     own, other, unsure = _alike(recording, simulation, exams, values)
+    _refuse_shifted(own, other)
     still = simulated.bins.rate
     at_rest = None if still is None or not len(still) else np.median(still, axis=0)
     motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest)
@@ -196,6 +202,28 @@ def _refuse_other_motion(recording: Recording, simulation: Recording) -> None:
             f" axes: it shares {max(shared, 0.0):.0%} of the motion, and at least {SHARED:.0%} is needed;"
             " leave --paired out for any other motion"
         )
+
+
+def _refuse_shifted(recording: Recording, simulation: Recording) -> None:
+    """Raise UserError where a simulation reads the motion by more earlier or later than filters delay.
+
+    Low-passes that were found are on both: what these delay is not counted.
+    """
+    own, other = readings_of(recording), readings_of(simulation)
+    found = [late(own.force, other.force, "accel")]
+    if own.rate is not None and other.rate is not None:
+        found.append(late(own.rate, other.rate, "gyro"))
+    delays = [one.delay for one in found if one is not None]
+    alike = len(delays) == len(found) and abs(sum(np.sign(d.value) for d in delays)) == len(delays)
+    if not alike or min(abs(d.value) - SURE * d.error for d in delays) < SHIFTED:
+        return
+    shift = float(np.mean([d.value for d in delays]))
+    side = "earlier" if shift > 0.0 else "later"
+    raise UserError(
+        f"{simulation.name}: reads the motion {abs(shift) * 1e3:.0f} ms {side}"
+        f" than {recording.name}; move its stamps by {shift * 1e3:+.0f} ms and interpolate it at those of"
+        f" {recording.name}, or leave --paired out"
+    )
 
 
 def readings_of(recording: Recording) -> Readings:

@@ -273,6 +273,13 @@ def test_another_motion_and_values_that_are_late_are_refused() -> None:
         judge_paired(real, replace(sim, accelerometer=late(sim.accelerometer)))
 
 
+@pytest.mark.parametrize(("by", "said"), [(0.05, "50 ms later"), (-0.05, "50 ms earlier")])
+def test_a_simulation_whose_two_sensors_are_shifted_alike_is_refused(by: float, said: str) -> None:
+    sim = with_rate(turned(2), lambda rate: read_later(rate, by))
+    with pytest.raises(UserError, match=rf"2.csv: reads the motion {said} than 1.csv"):
+        judge_paired(turned(1), replace(sim, accelerometer=read_later(sim.accelerometer, by)))
+
+
 def test_a_short_pair_is_too_little_data() -> None:
     def brief(one: Recording) -> Recording:
         assert one.gyroscope is not None
