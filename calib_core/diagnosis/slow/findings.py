@@ -177,12 +177,11 @@ def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
 
 
 def _unsized(found: Estimate) -> bool:
-    """Whether a name has sizes that may be nothing, each of them, though together they are not.
+    """Whether a name with a moment or a time constant has sizes that may be nothing, each of them.
 
-    They differ with the moment then, or only sums of them are told: something changes, and how much of it is
-    what the name says is not known.
+    They differ with the moment then: something changes, and it is not what the name says.
     """
-    named = found.hypothesis.effect.name != "unknown"
+    named = found.hypothesis.effect.name != "unknown" and bool(found.hypothesis.grid)
     return named and bool((np.abs(found.value) < NORMAL_95 * found.sigma).all())
 
 

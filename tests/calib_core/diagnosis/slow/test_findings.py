@@ -22,9 +22,7 @@ from stillcal.calib_core.diagnosis.model.scenes import scenes
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import (
     Stated,
-    _by_chance,
     _to_and_fro,
-    _unsized,
     each_driver_once,
     not_unknown_twice,
     slow_findings,
@@ -252,14 +250,3 @@ def test_a_second_step_that_may_undo_the_first_takes_the_name_of_both() -> None:
     up = of(2e-3, 0.0, 0.0)
     assert _to_and_fro([up, of(-2e-3, 1e-4, 0.0)]) == "gyro_bias_step"
     assert _to_and_fro([up, of(-2e-3, 1e-3, 0.0)]) == "" == _to_and_fro([up])
-
-
-def test_sizes_of_which_only_the_sum_is_told_are_no_named_effect_s() -> None:
-    rng, day = day_of(3)
-    scene = scenes(nulls.bins_of(rng, day, "white"), nulls.G)[0]
-    effect = next(e for e in effects_of("accel") if e.name == "accel_nonlinearity")
-    own = next(h for h in scene.hypotheses(effect) if h.axis_of.size == 3)
-    apart = 1e-6 * (np.eye(3) - np.ones((3, 3)) / 3.0)
-    vague = Estimate(own, np.full(3, 1e-3), apart + 1e-10 * np.eye(3), {}, 50.0)
-    sure = Estimate(own, np.array([2e-3, 0.0, 0.0]), apart + 1e-10 * np.eye(3), {}, 50.0)
-    assert not _by_chance(vague, 1) and _unsized(vague) and not _unsized(sure)
