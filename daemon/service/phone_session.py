@@ -19,6 +19,7 @@ from stillcal.calib_core.engine.settings import Watch
 from stillcal.calib_core.static.settings import Sense, Sleep
 from stillcal.calib_core.streams.events import Charging, End, Event, Location, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.temperature.thermometer import FRESH_S
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.duty_commands import DutyCommands, credit
 from stillcal.daemon.service.engine_thread import EngineThread
@@ -79,7 +80,7 @@ class PhoneSession:
         self._clock, self._cpu_time = clock, cpu_time
         self._commands = DutyCommands()
         self._items: list[Samples | Event] = []
-        self._celsius: float | None = None
+        self._told: Temperature | None = None
         self._in_step = False
         self._heard_at = self._fed_at = self._clock()
         self._silent = False
@@ -172,16 +173,13 @@ class PhoneSession:
     # Records
 
     async def _on_record(self, record: Record) -> None:
-        if isinstance(record, Samples | Charging | Location | Tick | End):
+        if isinstance(record, Samples | Charging | Location | Temperature | Tick | End):
             self._queue(record)
             if isinstance(record, End) or (isinstance(record, Tick) and self._in_step):
                 await self._feed_engine()
                 self._answer_stop(record)
         elif isinstance(record, Status):
             self._on_status(record)
-        elif isinstance(record, Temperature):
-            self._celsius = record.celsius
-            self._queue(record)
         elif isinstance(record, Hello):
             await self._on_hello(record)
         elif isinstance(record, LinkUp | LinkDown):
@@ -199,6 +197,8 @@ class PhoneSession:
             self._saved.energy.samples(float(item.t[-1]), len(item))
             item = self._with_temperature(item)
             self._fresh.append(item)
+        elif isinstance(item, Temperature):
+            self._told = item
         if item is not None:
             self._items.append(item)
             self._readers.recorders.notify(item)
@@ -227,10 +227,13 @@ class PhoneSession:
         self._readers.live.interrupt(reason)
 
     def _with_temperature(self, samples: Samples) -> Samples:
-        """Add the thermometer's last reading to samples without a temperature."""
-        if samples.temperature is not None or self._celsius is None:
+        """Add the thermometer's last reading to samples without a temperature, as long as it is fresh."""
+        if samples.temperature is not None or self._told is None:
             return samples
-        return replace(samples, temperature=frozen(np.full(len(samples), self._celsius)))
+        fresh = samples.t - self._told.t <= FRESH_S
+        if not fresh.any():
+            return samples
+        return replace(samples, temperature=frozen(np.where(fresh, self._told.celsius, np.nan)))
 
     def _on_status(self, status: Status) -> None:
         t = self._saved.clock.looked_at(status.t, self._clock())
@@ -276,6 +279,7 @@ class PhoneSession:
                 before=before,
             )
             self._act(reply.actions)
+            self._told = None
         self._saved.device = device or before
 
     def _on_link(self, record: LinkUp | LinkDown) -> None:

@@ -14,8 +14,9 @@ import pytest
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.static.settings import Sleep
-from stillcal.calib_core.streams.events import Charging, Tick
+from stillcal.calib_core.streams.events import Charging, Temperature, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.thermometer import FRESH_S
 from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.service.live_stream import Interruption
 from stillcal.daemon.service.phone_session import CONTINUES_S, GATHER_S, LATE_S, SILENCE_S, PhoneSession
@@ -202,3 +203,21 @@ def test_the_engine_thread_is_busy_for_as_long_as_its_job_goes_on() -> None:
         engine_thread.close()
 
     asyncio.run(test())
+
+
+def test_a_reading_of_the_thermometer_ends_with_its_freshness_and_with_its_phone() -> None:
+    async def test(session: PhoneSession, phone: Phone, clock: ManualClock) -> None:
+        def temperatures(*t: float) -> list[float] | None:
+            given = Samples.checked(Sensor.ACCELEROMETER, list(t), np.zeros((len(t), 3)))
+            temperature = session._with_temperature(given).temperature
+            return None if temperature is None else temperature.tolist()
+
+        await session._on_hello(Hello(claims={"device": "one"}))
+        await session._on_record(Temperature(2.0, 30.0))
+        assert temperatures(3.0, 2.0 + FRESH_S) == [30.0, 30.0]
+        assert np.isnan(temperatures(3.0, 2.1 + FRESH_S) or []).tolist() == [False, True]
+        assert temperatures(2.1 + FRESH_S) is None
+        await session._on_hello(Hello(claims={"device": "two"}))
+        assert temperatures(3.0) is None
+
+    with_session(test)
