@@ -264,6 +264,8 @@ class Service:
         """Diagnose the rests of the saved state, take up what can be, and keep the report. now: s."""
         last, state = self.saved.night, saved_state.state_path(self.storage.path)
         report = await diagnose(state, self.settings.diagnosis, now, rests)
+        if self.saved.night is not last:
+            return  # another phone came meanwhile: these were not its rests
         took = {"rests": rests, "processor_s": round(report.processor_s, 1)}
         took["memory_mib"] = round(report.memory_bytes / 2**20)
         if report.trouble:

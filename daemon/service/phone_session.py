@@ -25,6 +25,7 @@ from stillcal.daemon.service.duty_commands import DutyCommands, credit
 from stillcal.daemon.service.engine_thread import EngineThread
 from stillcal.daemon.service.sample_readers import SampleReaders
 from stillcal.daemon.service.saved_state import SavedState
+from stillcal.daemon.service.self_diagnosis import NightReport
 from stillcal.daemon.sources.base import LinkDown, LinkUp, Record, Source
 from stillcal.daemon.system.clock import Clock, host_time
 from stillcal.daemon.system.log import say
@@ -279,7 +280,7 @@ class PhoneSession:
                 before=before,
             )
             self._act(reply.actions)
-            self._told = None
+            self._told, self._saved.night = None, NightReport()
         self._saved.device = device or before
 
     def _on_link(self, record: LinkUp | LinkDown) -> None:

@@ -115,6 +115,26 @@ def test_it_is_ended_where_it_takes_more_than_its_budget(
     assert trouble in answers["watched"]
 
 
+def test_findings_end_with_their_phone_and_are_not_given_to_the_next_one(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = NightReport(5.0, 40, "identified", ("{}",))
+
+    async def test() -> None:
+        async with running(given_in(folder, "")) as service:
+            service.saved.device, service.saved.night = "one", found
+
+            async def exchanged(*_: object) -> NightReport:
+                await service.session._check_identity("two")
+                return found
+
+            monkeypatch.setattr(app, "diagnose", exchanged)
+            await service._diagnose_itself(5.0, 40)
+            assert service.saved.device == "two" and service.saved.night == NightReport()
+
+    within_reason(test(), 60.0)
+
+
 @pytest.mark.parametrize("answer", ["", "{}", "[]", '{"verdict": "match", "findings": [{"effect": 1}]}'])
 def test_an_answer_of_another_version_is_a_trouble_and_ends_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answer: str
