@@ -19,11 +19,11 @@ from stillcal.calib_core.diagnosis.clear_bins import (
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import shown_in_motion
@@ -39,12 +39,12 @@ from stillcal.calib_core.diagnosis.slow.nameless_tilt import beyond, nameless_ti
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.calib_core.diagnosis.slow.turn_errors import turn_errors
-from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
+from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_residuals
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 __all__ = ["Claims", "Diagnosis", "diagnose"]
 
@@ -59,7 +59,7 @@ class Examination:
     """A recording with all that its diagnosis was read from.
 
     bins: the static bins that slow effects are judged on; streams: each sensor's noise, steps and spectra;
-    scenes: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
+    sensors: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
     aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
     with the hypotheses they state. timed: whether it is known when what was recorded.
     exchanged: the sensor whose axes were exchanged; if for a while, nothing slow of it is searched for.
@@ -73,9 +73,9 @@ class Examination:
     claims: Claims
     bins: Bins
     streams: list[Stream]
-    scenes: list[Scene]
+    sensors: list[SensorResiduals]
     aligned: Aligned | None
-    turns: Scene | None
+    turns: SensorResiduals | None
     statements: list[Stated]
     timed: bool = True
     exchanged: str = ""
@@ -88,9 +88,9 @@ class Examination:
         return Diagnosis(recording, [s.finding for s in self.statements])
 
     @property
-    def every_scene(self) -> list[Scene]:
-        """The scenes of both sensors, and that of the turns where there is one."""
-        return [*self.scenes, *([self.turns] if self.turns else [])]
+    def with_turns(self) -> list[SensorResiduals]:
+        """The residuals of both sensors, and those of the turns where there are any."""
+        return [*self.sensors, *([self.turns] if self.turns else [])]
 
     @property
     def on_limits(self) -> list[Span]:
@@ -109,7 +109,7 @@ class Examination:
     @property
     def column_means(self) -> dict[str, float]:
         """The means at rest of further logged columns."""
-        return self.scenes[0].column_means if self.scenes else {}
+        return self.sensors[0].column_means if self.sensors else {}
 
     @property
     def is_table(self) -> bool:
@@ -146,7 +146,7 @@ def examine(
     *,
     without: Collection[str] = (),
     sound: SoundPhones | None = None,
-    covariates: Mapping[str, Course] | None = None,
+    covariates: Mapping[str, TimeSeries] | None = None,
     search: bool = True,
     overview: Overview | None = None,
     delivered_twice: int = 0,
@@ -180,16 +180,16 @@ def examine(
     turned = None if spoiled else other_axes(between)
     direct = [*gone, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
     slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
-    residuals = scenes(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
-    residuals = about_nonlinearity(residuals)
+    slow_residuals = by_sensor(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
+    slow_residuals = about_nonlinearity(slow_residuals)
     stated = [Stated(f) for f in direct]
     progress(MEASURED)
-    for done, scene in enumerate(residuals):
-        if search and not _is_of(spoiled, scene.sensor):
-            residuals[done], found = searched(scene, without)
+    for done, residuals in enumerate(slow_residuals):
+        if search and not _is_of(spoiled, residuals.sensor):
+            slow_residuals[done], found = searched(residuals, without)
             stated += found
-        progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(residuals))
-    made = Examination(accelerometer, gyroscope, claims, slow, streams, residuals, None, None, stated,
+        progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(slow_residuals))
+    made = Examination(accelerometer, gyroscope, claims, slow, streams, slow_residuals, None, None, stated,
                        exchanged=next((f.sensor for f in (spoiled, turned) if f), ""),
                        other_axes=turned)  # fmt: skip
     spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
@@ -272,16 +272,16 @@ def _turn_errors(exam: Examination) -> Finding | None:
     if exam.aligned is None or exam.turns is None:
         return None
     known = off_bins(exam.bins, Known.among(exam.statements))
-    found = [s.hypothesis for s in exam.statements if s.hypothesis and s.scene and s.scene.turns]
+    found = [s.hypothesis for s in exam.statements if s.hypothesis and s.residuals and s.residuals.turns]
     return turn_errors(exam.aligned, known, exam.claims.gravity, found)
 
 
 def _turned(
     gyroscope: Samples, bins: Bins, gravity: float, limit: float, rates: Rates
-) -> tuple[Aligned, Scene | None]:
+) -> tuple[Aligned, SensorResiduals | None]:
     """Return both sensors' affine parameters and the turns under them; arguments are those of `aligned`."""
     affine = aligned(gyroscope, bins, gravity, limit, rates)
-    return affine, turn_scene(affine, bins, gravity)
+    return affine, turn_residuals(affine, bins, gravity)
 
 
 def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:

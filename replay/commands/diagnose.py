@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.errors import NotSupported
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.daemon.cli.exits import TOO_LITTLE, VERDICT
 from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
@@ -357,7 +357,7 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
     return read_condensed(trace, path, lambda done: show_stage(stage, done))
 
 
-def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, Course]:
+def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, TimeSeries]:
     """Return further columns of a recording, by the time that its samples have."""
     if not path.is_file():
         raise TraceError(path, "--covariate needs a CSV file, to read it again", "save it as a file first")

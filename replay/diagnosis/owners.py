@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.vote import nats_of, shares, 
 from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.errors import NotSupported
@@ -63,12 +63,12 @@ def owners_of(
     found: Comparison,
     direct: Sequence[Stated],
     recordings: Sequence[Recording],
-    differing: Callable[[int], list[Scene]],
+    differing: Callable[[int], list[SensorResiduals]],
 ) -> list[Owned]:
     """Return what was found in the difference of readings, with how likely it is each recording's.
 
     exam: of the recording less its witnesses; direct: what single samples of the recording show, which is its
-    own. recordings: that recording, then its witnesses. differing: gives the scenes of one of them, by its
+    own. recordings: that recording, then its witnesses. differing: gives the sensors of one of them, by its
     place, less the mean of the rest. What each shows by itself is looked at where the vote is not sure.
     """
     own = {id(s.finding) for s in direct}
@@ -76,7 +76,7 @@ def owners_of(
     of_pair = [d for d in found.discrepancies if d.recorded is None or id(d.recorded) not in own]
     if not of_pair:
         return []
-    scenes = [differing(k) for k in range(len(recordings))] if len(recordings) > 2 else []
+    sensors = [differing(k) for k in range(len(recordings))] if len(recordings) > 2 else []
     names = [r.name for r in recordings]
 
     def vote(alone: Sequence[Sequence[Finding]]) -> list[Owned]:
@@ -84,7 +84,7 @@ def owners_of(
         for one in of_pair:
             of_kind = _having(recordings, one.sensor)
             # Two sensors' differences are the same.
-            compared = [scenes[k] for k in of_kind] if len(of_kind) > 2 else []
+            compared = [sensors[k] for k in of_kind] if len(of_kind) > 2 else []
             its = [next(s for s in each if s.sensor == one.sensor) for each in compared]
             said = next((s for s in stated if s.finding is one.recorded), None)
             nats = np.array([nats_of(shown_alone(each, one)) for each in alone])[of_kind]

@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.delay import SURE, late
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, shared_as_it_is
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.stands import (
     with_own_of_simulation,
@@ -79,8 +79,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     at_rest = None if still is None or not len(still) else np.median(still, axis=0)
     motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest)
     true = motion.readings
-    bins, scenes = pair_scenes(less(own, true), true, charging_events(recording), 0.0, motion.added)
-    exam = examined_in_pair(recorded, bins, scenes, motion.found, lambda done: show_stage(READINGS, done))
+    bins, sensors = pair_residuals(less(own, true), true, charging_events(recording), 0.0, motion.added)
+    exam = examined_in_pair(recorded, bins, sensors, motion.found, lambda done: show_stage(READINGS, done))
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
     slow = with_owner_of_unknown(slow, exam, recorded, simulated)
     before = slow.and_of(values)

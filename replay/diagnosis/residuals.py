@@ -6,7 +6,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.diagnose import Examination
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
 
 HEADER = "sensor,residual,component,t,duration,rest,sd,ideal,with_effects,unit"
@@ -22,22 +22,22 @@ def residuals_csv(exam: Examination) -> str:
     residual of an affine sensor; with_effects: what is left when the effects found are fitted too.
     """
     lines = [HEADER]
-    for scene in [*exam.scenes, *([] if exam.turns is None else [exam.turns])]:
-        kind = bool(scene.turns)
+    for residuals in [*exam.sensors, *([] if exam.turns is None else [exam.turns])]:
+        kind = bool(residuals.turns)
         found = [
             s.hypothesis
             for s in exam.statements
             if s.hypothesis is not None
-            and s.scene is not None
-            and (s.scene.sensor, bool(s.scene.turns)) == (scene.sensor, kind)
+            and s.residuals is not None
+            and (s.residuals.sensor, bool(s.residuals.turns)) == (residuals.sensor, kind)
         ]
-        lines += _of_scene(scene, found)
+        lines += _of_one(residuals, found)
     return "\n".join(lines) + "\n"
 
 
-def _of_scene(scene: Scene, found: list[Hypothesis]) -> list[str]:
+def _of_one(residuals: SensorResiduals, found: list[Hypothesis]) -> list[str]:
     lines = []
-    for i, view in enumerate(scene.views):
+    for i, view in enumerate(residuals.views):
         unit = UNITS.get(view.name, "rad/s")
         for block in range(len(view.y)):
             ideal = _left(view, block, [])
@@ -45,7 +45,7 @@ def _of_scene(scene: Scene, found: list[Hypothesis]) -> list[str]:
             for n in range(view.t.size):
                 numbers = (view.t[n], view.duration[n], view.rest[n], np.sqrt(view.variance[n]))
                 cells = ",".join(f"{x:.8g}" for x in (*numbers, ideal[n], after[n]))
-                lines.append(f"{scene.sensor},{view.name},{block},{cells},{unit}")
+                lines.append(f"{residuals.sensor},{view.name},{block},{cells},{unit}")
     return lines
 
 

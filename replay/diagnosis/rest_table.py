@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.sensitivity import follows_time
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.merged_rests import merged
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
@@ -114,11 +114,11 @@ def _variances(rests: Sequence[RestState]) -> Array:
 def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:
     """Return the examination of a table: slow effects only, and no samples."""
     none = Samples.checked(Sensor.ACCELEROMETER, np.empty(0), np.empty((0, 3)))
-    made = about_nonlinearity(scenes(bins, claims.gravity))
+    made = about_nonlinearity(by_sensor(bins, claims.gravity))
     statements: list[Stated] = []
-    for scene in made:
-        effects = [e for e in effects_of(scene.sensor) if timed or not follows_time(e.follows)]
-        statements += statements_of(scene, forward(scene, effects))
+    for residuals in made:
+        effects = [e for e in effects_of(residuals.sensor) if timed or not follows_time(e.follows)]
+        statements += statements_of(residuals, forward(residuals, effects))
     gyroscope = None if bins.rate is None else replace(none, sensor=Sensor.GYROSCOPE)
     return Examination(none, gyroscope, claims, bins, [], made, None, None, statements, timed)
 

@@ -20,11 +20,11 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     without_found,
 )
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, Mounting, mounting
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.vote import voted
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.samples import Samples
@@ -95,9 +95,9 @@ def judge_with_witnesses(
     recorded = examined(recording, show_stage, search=False)
     show_stage(READINGS, 0.0)
     true = mean_readings(recording, others)
-    bins, scenes = pair_scenes(less(recording, true), true, charging_events(recording), MISMATCH)
+    bins, sensors = pair_residuals(less(recording, true), true, charging_events(recording), MISMATCH)
     stated = recorded.statements
-    exam = examined_in_pair(recorded, bins, scenes, stated, lambda done: show_stage(READINGS, done))
+    exam = examined_in_pair(recorded, bins, sensors, stated, lambda done: show_stage(READINGS, done))
     found = compare_in_pair(exam)
     owned = owners_of(exam, found, stated, [recording, *others], partial(_differing, recording, others))
     before = voted(found, [(one.discrepancy, one.own) for one in owned])
@@ -114,8 +114,8 @@ def judge_with_witnesses(
     return Judged(recording, exam, None, before, None, None, answer)
 
 
-def _differing(recording: Recording, others: Sequence[Recording], k: int) -> list[Scene]:
-    """Return the scenes of one recording less the mean of the rest; k: 0 for the recording, then the others.
+def _differing(recording: Recording, others: Sequence[Recording], k: int) -> list[SensorResiduals]:
+    """Return residuals of one recording less the mean of the rest; k: 0 for the recording, then the others.
 
     All are cut at the recording's stamps, and have its temperature.
     """
@@ -126,7 +126,7 @@ def _differing(recording: Recording, others: Sequence[Recording], k: int) -> lis
     own = replace(recording, accelerometer=every[k].force, gyroscope=every[k].rate)
     warm = recording.accelerometer.temperature
     own = replace(own, accelerometer=replace(own.accelerometer, temperature=warm))
-    return pair_scenes(less(own, true), true, charging_events(recording), MISMATCH)[1]
+    return pair_residuals(less(own, true), true, charging_events(recording), MISMATCH)[1]
 
 
 def _mean(every: Sequence[Samples]) -> Samples:

@@ -10,7 +10,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.replay.formats.clock import seconds_per_unit
 from stillcal.replay.formats.columns import TIME_UNITS, TimeMap, find_columns
 from stillcal.replay.formats.errors import TraceError
@@ -27,7 +27,7 @@ FIRST = 10_000
 """Rows by whose stamps the unit of time is told: a block of the samples' reader holds about as many."""
 
 
-def read_covariates(path: Path, names: Sequence[str], time: TimeMap = BY_T) -> dict[str, Course]:
+def read_covariates(path: Path, names: Sequence[str], time: TimeMap = BY_T) -> dict[str, TimeSeries]:
     """Return the named columns of a CSV recording, each over its time, s, without empty and nan cells.
 
     time: the column of the stamps and its unit, as the samples' reader has it. Raises TraceError where the
@@ -120,7 +120,7 @@ class _Clock:
             raise TraceError(self._path, what, "mend or remove the row", row) from None
 
 
-def _columns(path: Path, rows: Any, names: Sequence[str], time: TimeMap) -> dict[str, Course]:
+def _columns(path: Path, rows: Any, names: Sequence[str], time: TimeMap) -> dict[str, TimeSeries]:
     at = _places(path, [cell.strip() for cell in next(rows, [])], names, time)
     clock = _Clock(path, time, at)
     t: dict[str, list[float]] = {name: [] for name in names}
@@ -145,7 +145,7 @@ def _columns(path: Path, rows: Any, names: Sequence[str], time: TimeMap) -> dict
             row, cell = wrong[name]
             raise TraceError(path, f"{name} is {cell!r}, no finite number", "mend or remove the row", row)
     unit = clock.unit()
-    return {name: Course(np.array(t[name]) * unit, np.array(values[name])) for name in names}
+    return {name: TimeSeries(np.array(t[name]) * unit, np.array(values[name])) for name in names}
 
 
 def _which_do(path: Path) -> str:

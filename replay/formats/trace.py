@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
@@ -55,7 +55,7 @@ class Recording:
     claims: Claims
     notes: list[str]
     name: str = ""
-    covariates: Mapping[str, Course] = field(default_factory=dict)
+    covariates: Mapping[str, TimeSeries] = field(default_factory=dict)
     delivered_twice: int = 0
 
     @property

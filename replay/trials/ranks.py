@@ -25,11 +25,11 @@ from stillcal.calib_core.diagnosis.effects.catalogue import own_effects
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import highest
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import CHANCE
 from stillcal.calib_core.diagnosis.slow.screen import screened
-from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_residuals
 from stillcal.replay.blind_test.cases import make_case
 from stillcal.replay.blind_test.designs import Design
 from stillcal.replay.blind_test.world.noise import FAMILIES
@@ -41,7 +41,7 @@ LEAST = 5.0
 """Ranks that a class must hold on average for chi-squared to be told."""
 
 
-def scenes_of(trial: int, seed: int) -> list[Scene]:
+def residuals_of(trial: int, seed: int) -> list[SensorResiduals]:
     """Return the slow residuals of a day without effects: both sensors' rests, and the turns."""
     maker = ("simulator", "examiner")[trial % 2]
     design = Design(
@@ -50,65 +50,67 @@ def scenes_of(trial: int, seed: int) -> list[Scene]:
     made = make_case(design, seed, trial).recording
     recording = Recording(made.accelerometer, made.gyroscope, list(made.events), made.claims, [])
     exam: Examination = examined(recording, search=False)
-    return [*exam.scenes, *([] if exam.turns is None else [exam.turns])]
+    return [*exam.sensors, *([] if exam.turns is None else [exam.turns])]
 
 
-def cold(scene: Scene) -> Scene:
-    """Return a scene without its thermometer, as effects of heat that was not recorded need it."""
-    return replace(scene, bins=replace(scene.bins, temperature=None))
+def cold(residuals: SensorResiduals) -> SensorResiduals:
+    """Return residuals without the thermometer, as effects of heat that was not recorded need them."""
+    return replace(residuals, bins=replace(residuals.bins, temperature=None))
 
 
-def drawn(scene: Scene, effect: Effect, rng: np.random.Generator) -> tuple[Hypothesis, Array] | None:
+def drawn(
+    residuals: SensorResiduals, effect: Effect, rng: np.random.Generator
+) -> tuple[Hypothesis, Array] | None:
     """Draw an effect at a point of its grid, and its parameters (k,) in SI; None where it cannot show."""
-    many = effect.dictionary(scene.moments)
-    points = [h.grid for h in scene.hypotheses(effect)] if many is None else many.grids
+    many = effect.dictionary(residuals.moments)
+    points = [h.grid for h in residuals.hypotheses(effect)] if many is None else many.grids
     if not points:
         return None
     coarse = points[int(rng.integers(len(points)))]
-    finer = effect.finer(scene.moments, coarse)
+    finer = effect.finer(residuals.moments, coarse)
     grid = finer[int(rng.integers(len(finer)))] if len(finer) else coarse
-    true = in_every_view(scene, effect, grid)
+    true = in_every_view(residuals, effect, grid)
     return true, true.sizes * rng.choice(SIZES) * rng.standard_normal(true.sizes.size)
 
 
-def in_every_view(scene: Scene, effect: Effect, grid: Grid) -> Hypothesis:
+def in_every_view(residuals: SensorResiduals, effect: Effect, grid: Grid) -> Hypothesis:
     """Return what an effect does to all views, also to those that are blind to it while it is searched for.
 
     The estimate uses these too, so what is put into one of them must be in all.
     """
-    if scene.turns:
-        return scene.hypothesis(effect, grid)
-    return Hypothesis(effect, grid, scene.columns_of(effect.response(scene.moments, grid)))
+    if residuals.turns:
+        return residuals.hypothesis(effect, grid)
+    return Hypothesis(effect, grid, residuals.columns_of(effect.response(residuals.moments, grid)))
 
 
-def with_effect(scene: Scene, true: Hypothesis, value: Array) -> Scene:
-    """Return the scene with an effect of parameters `value` (k,) put into its residuals."""
-    views = tuple(replace(v, y=v.y + c @ value) for v, c in zip(scene.views, true.columns, strict=True))
-    for new, old in zip(views, scene.views, strict=True):
+def with_effect(residuals: SensorResiduals, true: Hypothesis, value: Array) -> SensorResiduals:
+    """Return residuals with an effect of parameters `value` (k,) put in."""
+    views = tuple(replace(v, y=v.y + c @ value) for v, c in zip(residuals.views, true.columns, strict=True))
+    for new, old in zip(views, residuals.views, strict=True):
         new.memo.update(old.memo)  # the noise models do not depend on the residuals
-    return replace(scene, views=views)
+    return replace(residuals, views=views)
 
 
-def fitted(scene: Scene, effect: Effect) -> Estimate:
+def fitted(residuals: SensorResiduals, effect: Effect) -> Estimate:
     """Return an effect's estimate, about its likeliest grid point."""
-    empty = reduce_scene(scene, [nothing(scene)])
-    tried = [*proposals(scene, [effect]), *screened(scene, [effect], empty, [])]
-    reduced = reduce_scene(scene, tried)
+    empty = reduce_residuals(residuals, [nothing(residuals)])
+    tried = [*proposals(residuals, [effect]), *screened(residuals, [effect], empty, [])]
+    reduced = reduce_residuals(residuals, tried)
     best = tried[int(np.argmax([highest(reduced, i) for i in range(len(tried))]))]
-    return estimate(scene, estimate(scene, best, []).hypothesis, [])
+    return estimate(residuals, estimate(residuals, best, []).hypothesis, [])
 
 
-def ranks(scene: Scene, effect: Effect, rng: np.random.Generator) -> Array | None:
+def ranks(residuals: SensorResiduals, effect: Effect, rng: np.random.Generator) -> Array | None:
     """Return the posterior probability (k,) of values below the true ones; None where it does not show.
 
     What is not significant is not stated: the fit puts a jump that is too small at any jump of the noise.
     """
     from scipy.special import ndtr  # noqa: PLC0415 - as in the diagnosis
 
-    made = drawn(scene, effect, rng)
+    made = drawn(residuals, effect, rng)
     if made is None:
         return None
-    found = fitted(with_effect(scene, *made), effect)
+    found = fitted(with_effect(residuals, *made), effect)
     if found.chance() >= CHANCE:
         return None
     return np.asarray(ndtr((made[1] - found.value) / np.maximum(found.sigma, 1e-300)))
@@ -117,11 +119,11 @@ def ranks(scene: Scene, effect: Effect, rng: np.random.Generator) -> Array | Non
 def of_trial(trial: int, seed: int) -> Iterator[tuple[str, Array]]:
     """Yield each slow effect that a day can show with its ranks."""
     rng = np.random.default_rng([seed, trial])
-    for scene in scenes_of(trial, seed):
+    for residuals in residuals_of(trial, seed):
         for effect in own_effects():
-            if effect.sensor != scene.sensor or effect.in_turns != bool(scene.turns):
+            if effect.sensor != residuals.sensor or effect.in_turns != bool(residuals.turns):
                 continue
-            seen = cold(scene) if effect.name == "thermal_latent" else scene
+            seen = cold(residuals) if effect.name == "thermal_latent" else residuals
             found = ranks(seen, effect, rng)
             if found is not None:
                 degree = f", degree {len(effect.parameters)}" if len(effect.parameters) > 1 else ""

@@ -19,18 +19,18 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 LESS = 1.0 / 3.0
 """Part of the recording's effect below which a simulation lacks it: half of it would be too small."""
 
 
-def course_over(recorded: Bins, span: tuple[float, float]) -> Course:
+def course_over(recorded: Bins, span: tuple[float, float]) -> TimeSeries:
     """Return the temperature of a recording's bins, degC, stretched to another one's `span`, s."""
     assert recorded.temperature is not None, "asked for where the recording follows temperature"
-    return Course(np.interp(recorded.t, recorded.span, span), recorded.temperature)
+    return TimeSeries(np.interp(recorded.t, recorded.span, span), recorded.temperature)
 
 
 def warmed(simulated: Examination, recorded: Bins) -> Examination:
@@ -42,13 +42,13 @@ def warmed(simulated: Examination, recorded: Bins) -> Examination:
         bins=_warmed(simulated.turns.bins, course),
         turns=tuple(replace(t, temperature=float(course.at(t.t).mean())) for t in simulated.turns.turns),
     )
-    scenes: list[Scene] = [replace(s, bins=_warmed(s.bins, course)) for s in simulated.scenes]
-    return replace(simulated, bins=bins, scenes=scenes, turns=turns)
+    sensors: list[SensorResiduals] = [replace(s, bins=_warmed(s.bins, course)) for s in simulated.sensors]
+    return replace(simulated, bins=bins, sensors=sensors, turns=turns)
 
 
 def columns_over(
-    courses: Mapping[str, Course], own: tuple[float, float], span: tuple[float, float]
-) -> dict[str, Course]:
+    courses: Mapping[str, TimeSeries], own: tuple[float, float], span: tuple[float, float]
+) -> dict[str, TimeSeries]:
     """Return logged columns of a recording of one span, s, stretched to another's."""
     return {name: replace(c, t=np.interp(c.t, own, span)) for name, c in courses.items()}
 
@@ -66,16 +66,16 @@ def driven(simulated: Examination, recorded: Examination, missing: Sequence[NotL
     names = columns_of(missing)
     if not names:
         return made
-    logged = {name: recorded.scenes[0].covariates[name] for name in names}
+    logged = {name: recorded.sensors[0].covariates[name] for name in names}
     added = columns_over(logged, recorded.bins.span, simulated.bins.span)
-    return replace(made, scenes=[replace(s, covariates={**s.covariates, **added}) for s in made.scenes])
+    return replace(made, sensors=[replace(s, covariates={**s.covariates, **added}) for s in made.sensors])
 
 
 def _of_temperature(missing: NotLogged) -> bool:
     return "temperature" in missing.effect.follows
 
 
-def _warmed(bins: Bins, course: Course) -> Bins:
+def _warmed(bins: Bins, course: TimeSeries) -> Bins:
     return replace(bins, temperature=course.mean(bins.t, bins.duration))
 
 
@@ -133,28 +133,30 @@ def _largest(
     """
     keys = {(m.effect.name, m.effect.sensor) for m in missing}
     out: dict[Key, Array] = {}
-    for scene in simulated.every_scene:
+    for residuals in simulated.with_turns:
         for one in wanted:
             effect = one.hypothesis.effect
-            hypothesis = proposed(scene, one) if one.kind == kind_of(scene) else None
+            hypothesis = proposed(residuals, one) if one.kind == kind_of(residuals) else None
             if hypothesis is not None and (effect.name, effect.sensor) in keys:
-                sizes = [_most(scene, i, hypothesis) for i in _lengthwise(scene)]
+                sizes = [_most(residuals, i, hypothesis) for i in _lengthwise(residuals)]
                 out[effect.name, effect.sensor] = np.max(sizes, axis=0)
     return out
 
 
-def _lengthwise(scene: Scene) -> list[int]:
-    """Return which views of a scene see what changes from rest to rest."""
-    return [i for i, view in enumerate(scene.views) if view.name not in BLOCKS_ACROSS]
+def _lengthwise(residuals: SensorResiduals) -> list[int]:
+    """Return which views of a sensor's residuals see what changes from rest to rest."""
+    return [i for i, view in enumerate(residuals.views) if view.name not in BLOCKS_ACROSS]
 
 
-def _most(scene: Scene, index: int, hypothesis: Hypothesis) -> Array:
+def _most(residuals: SensorResiduals, index: int, hypothesis: Hypothesis) -> Array:
     """Return the size (k,) of each parameter that would leave all residuals of a view; 0 where it sees none.
 
     What calibration absorbs is projected out of both.
     """
-    view, columns = scene.views[index], hypothesis.columns[index]
-    base = np.hstack([view.nuisance(), *([] if scene.shared is None else [scene.shared.columns[index][0]])])
+    view, columns = residuals.views[index], hypothesis.columns[index]
+    base = np.hstack(
+        [view.nuisance(), *([] if residuals.shared is None else [residuals.shared.columns[index][0]])]
+    )
     whole = np.column_stack([view.y[0], columns[0]])
     left = whole - base @ np.linalg.lstsq(base, whole, rcond=None)[0]
     power = (left**2).mean(axis=0)
@@ -165,6 +167,6 @@ def _most(scene: Scene, index: int, hypothesis: Hypothesis) -> Array:
 
 def _may_have(simulated: Examination, missing: NotLogged) -> bool:
     return any(
-        s.scene is not None and missing.may_be(kind_of(s.scene), s.finding.effect)
+        s.residuals is not None and missing.may_be(kind_of(s.residuals), s.finding.effect)
         for s in simulated.statements
     )

@@ -296,12 +296,12 @@ def _quantities(
 ) -> dict[Key, Quantity]:
     """Return all that one recording shows, by effect and sensor."""
     out = linear_quantities(exam, wanted, reference_c, about) | noise.densities(exam)
-    for scene in exam.scenes:
-        if len(scene.bins) < thresholds.LEAST_BINS:
+    for residuals in exam.sensors:
+        if len(residuals.bins) < thresholds.LEAST_BINS:
             continue
-        own = [w for w in wanted if w.kind == kind_of(scene)]
-        asked = [h for w in own if (h := proposed(scene, w)) is not None]
-        if (slow := noise.slow_noise(exam, scene, asked)) is not None:
+        own = [w for w in wanted if w.kind == kind_of(residuals)]
+        asked = [h for w in own if (h := proposed(residuals, w)) is not None]
+        if (slow := noise.slow_noise(exam, residuals, asked)) is not None:
             out[slow.effect, slow.sensor] = slow
     out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
     out |= stamp_quantities(exam) | delay_quantity(exam)

@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import (
     BIAS_SIZE,
@@ -35,7 +35,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
 from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
 
 RATE_BIAS_SIZE = 0.05
@@ -89,9 +89,9 @@ class Wanted:
 def wanted_of(exam: Examination) -> list[Wanted]:
     """Return the linear effects that a recording was found to have and that another can be asked for."""
     return [
-        Wanted(kind_of(s.scene), s.hypothesis, _grid_of(s.hypothesis, s.finding))
+        Wanted(kind_of(s.residuals), s.hypothesis, _grid_of(s.hypothesis, s.finding))
         for s in exam.statements
-        if s.hypothesis is not None and s.scene is not None and transferable(s.hypothesis)
+        if s.hypothesis is not None and s.residuals is not None and transferable(s.hypothesis)
     ]
 
 
@@ -120,9 +120,9 @@ def transferable(hypothesis: Hypothesis) -> bool:
     return hypothesis.effect.name != "unknown" and not hypothesis.effect.recurs
 
 
-def kind_of(scene: Scene) -> str:
-    """Return what a scene is of: "accel" or "gyro" for rests, "turn" for the turns between them."""
-    return "turn" if scene.turns else scene.sensor
+def kind_of(residuals: SensorResiduals) -> str:
+    """Return what residuals are of: "accel" or "gyro" for rests, "turn" for the turns between them."""
+    return "turn" if residuals.turns else residuals.sensor
 
 
 def linear_quantities(
@@ -150,31 +150,31 @@ def every_linear_quantity(
 ) -> list[Quantity]:
     """Return what `linear_quantities` does, also of effects that come more than once, such as steps."""
     out: list[Quantity] = []
-    for scene in exam.every_scene:
-        if len(scene.bins) >= thresholds.LEAST_BINS:
-            own = [w for w in wanted if w.kind == kind_of(scene)]
-            out += _fitted(exam, scene, own, reference_c.get(scene.sensor), about or {})
+    for residuals in exam.with_turns:
+        if len(residuals.bins) >= thresholds.LEAST_BINS:
+            own = [w for w in wanted if w.kind == kind_of(residuals)]
+            out += _fitted(exam, residuals, own, reference_c.get(residuals.sensor), about or {})
     return out
 
 
 def _fitted(
     exam: Examination,
-    scene: Scene,
+    residuals: SensorResiduals,
     wanted: Sequence[Wanted],
     reference_c: float | None,
     about: Mapping[str, float],
 ) -> list[Quantity]:
-    kind = kind_of(scene)
-    free = replace(scene, views=tuple(_freed(v, scene.gravity) for v in scene.views))
-    effects = [h for w in wanted if (h := proposed(scene, w)) is not None]
-    hypotheses = [_constants(kind, scene), *effects]
-    whole = together(scene, [*hypotheses, *_of_its_own(exam, kind)])
-    fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
+    kind = kind_of(residuals)
+    free = replace(residuals, views=tuple(_freed(v, residuals.gravity) for v in residuals.views))
+    effects = [h for w in wanted if (h := proposed(residuals, w)) is not None]
+    hypotheses = [_constants(kind, residuals), *effects]
+    whole = together(residuals, [*hypotheses, *_of_its_own(exam, kind)])
+    fit = fit_hypothesis(reduce_residuals(free, [whole]), 0)
     parts = rows_of(hypotheses)
     count = int(parts[-1][-1]) + 1
     sizes = whole.sizes[:count]
     value, covariance = fit.beta[:count] * sizes, fit.covariance[:count, :count] * np.outer(sizes, sizes)
-    turned = _at_reference(scene, hypotheses, parts, reference_c, about)
+    turned = _at_reference(residuals, hypotheses, parts, reference_c, about)
     roughly = np.zeros(count)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
         roughly[rows] = _model_error(hypothesis, value[rows])
@@ -185,11 +185,13 @@ def _fitted(
         reference |= {name: at for name, at in one.grid.items() if name == SETTLED}
     out = _constant_quantities(exam, kind, stated, of_constants, reference)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
-        effect = effect_quantity(scene.bins.span, hypothesis, stated[rows], covariance[np.ix_(rows, rows)])
+        effect = effect_quantity(
+            residuals.bins.span, hypothesis, stated[rows], covariance[np.ix_(rows, rows)]
+        )
         if reference_c is not None and hypothesis.effect.name in SHIFTED:
             effect = replace(effect, reference=dict(effect.reference) | {"temperature_c": reference_c})
         if isinstance(column := hypothesis.effect, CovariateBias):
-            at = about.get(column.column, scene.column_means[column.column])
+            at = about.get(column.column, residuals.column_means[column.column])
             effect = replace(effect, reference=dict(effect.reference) | {column.column: at})
         out.append(effect)
     return out
@@ -204,8 +206,8 @@ def _of_its_own(exam: Examination, kind: str) -> list[Hypothesis]:
         s.hypothesis
         for s in exam.statements
         if s.hypothesis is not None
-        and s.scene is not None
-        and kind_of(s.scene) == kind
+        and s.residuals is not None
+        and kind_of(s.residuals) == kind
         and not transferable(s.hypothesis)
     ]
 
@@ -216,7 +218,7 @@ def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:
     return [np.arange(a, b) for a, b in pairwise(ends)]
 
 
-def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
+def proposed(residuals: SensorResiduals, wanted: Wanted) -> Hypothesis | None:
     """Return the effect as this recording would have it, at the nearest fine point; None if it cannot.
 
     What comes at a moment is taken at that moment.
@@ -225,17 +227,19 @@ def proposed(scene: Scene, wanted: Wanted) -> Hypothesis | None:
     def nearest(points: Sequence[Hypothesis]) -> Hypothesis:
         return min(points, key=lambda h: _apart(h.grid, wanted.grid))
 
-    for effect in effects_in(scene):
+    for effect in effects_in(residuals):
         same = (wanted.kind, effect.name, effect.follows) == wanted.key
         if not same or not _of_one_form(effect, wanted.hypothesis.effect):
             continue
         if effect.recurs:
-            return scene.measured(effect, wanted.hypothesis.grid)
-        if found := scene.hypotheses(effect):
-            point = nearest(scene.finer(nearest(found)))
+            return residuals.measured(effect, wanted.hypothesis.grid)
+        if found := residuals.hypotheses(effect):
+            point = nearest(residuals.finer(nearest(found)))
             if SETTLED not in wanted.grid:
                 return point
-            return scene.measured(effect, point.grid | {SETTLED: wanted.grid[SETTLED]}, point.multiplicity)
+            return residuals.measured(
+                effect, point.grid | {SETTLED: wanted.grid[SETTLED]}, point.multiplicity
+            )
     return None
 
 
@@ -271,15 +275,15 @@ def _constants_free(view: View, gravity: float) -> View:
     return replace(view, baseline=view.baseline[:, :, :0]) if view.name.startswith("rate") else view
 
 
-def _constants(kind: str, scene: Scene) -> Hypothesis:
+def _constants(kind: str, residuals: SensorResiduals) -> Hypothesis:
     """Return the constant parameters as a hypothesis: what they do to the residuals of a faultless phone."""
-    constants = Parameters("constants", scene.sensor, CONSTANTS[kind])
+    constants = Parameters("constants", residuals.sensor, CONSTANTS[kind])
     if kind == "accel":
-        columns = tuple(_of_constants(v) for v in scene.views)
+        columns = tuple(_of_constants(v) for v in residuals.views)
     elif kind == "turn":
-        columns = tuple(v.baseline for v in scene.views)
+        columns = tuple(v.baseline for v in residuals.views)
     else:
-        columns = scene.columns_of(on_axes(np.ones(len(scene.bins))))
+        columns = residuals.columns_of(on_axes(np.ones(len(residuals.bins))))
     return Hypothesis(constants, {}, columns)
 
 
@@ -314,16 +318,16 @@ def moved_rows(effect: str) -> NDArray[np.int64]:
 
 def hidden_shifts(exam: Examination, wanted: Sequence[Wanted]) -> set[str]:
     """Return the sensors whose constants follow temperature, which here changes too little to show it."""
-    scenes = {kind_of(s): s for s in exam.every_scene}
+    sensors = {kind_of(s): s for s in exam.with_turns}
     return {
         w.hypothesis.effect.sensor
         for w in wanted
-        if w.hypothesis.effect.name in SHIFTED and w.kind in scenes and proposed(scenes[w.kind], w) is None
+        if w.hypothesis.effect.name in SHIFTED and w.kind in sensors and proposed(sensors[w.kind], w) is None
     }
 
 
 def _at_reference(
-    scene: Scene,
+    residuals: SensorResiduals,
     hypotheses: Sequence[Hypothesis],
     parts: Sequence[NDArray[np.int64]],
     reference_c: float | None,
@@ -335,7 +339,7 @@ def _at_reference(
     """
     matrix = np.eye(int(parts[-1][-1]) + 1)
     for hypothesis, rows in zip(hypotheses, parts, strict=True):
-        more = _above_mean(scene, hypothesis.effect, reference_c, about)
+        more = _above_mean(residuals, hypothesis.effect, reference_c, about)
         if more:
             moved, sign = SHIFTED.get(hypothesis.effect.name, BIAS_SHIFTED)
             powers = rows.reshape(-1, 3)
@@ -346,14 +350,16 @@ def _at_reference(
     return matrix
 
 
-def _above_mean(scene: Scene, effect: Effect, reference_c: float | None, about: Mapping[str, float]) -> float:
+def _above_mean(
+    residuals: SensorResiduals, effect: Effect, reference_c: float | None, about: Mapping[str, float]
+) -> float:
     """Return by how much the reference of an effect's driver is above its mean; 0 where it has none."""
     if isinstance(effect, CovariateBias):
-        own = scene.column_means[effect.column]
+        own = residuals.column_means[effect.column]
         return about.get(effect.column, own) - own
-    if effect.name not in SHIFTED or reference_c is None or scene.bins.temperature is None:
+    if effect.name not in SHIFTED or reference_c is None or residuals.bins.temperature is None:
         return 0.0
-    return reference_c - float(scene.bins.temperature.mean())
+    return reference_c - float(residuals.bins.temperature.mean())
 
 
 def _constant_quantities(

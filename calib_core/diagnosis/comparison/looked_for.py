@@ -83,12 +83,12 @@ def slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
 def _of_columns(exam: Examination) -> dict[tuple[str, str], tuple[str, bool]]:
     """Return by effect and sensor the further columns that were logged, and whether each moves at rest."""
     return {
-        (f"{scene.sensor}_{kind_of_column(column)}", scene.sensor): (
+        (f"{residuals.sensor}_{kind_of_column(column)}", residuals.sensor): (
             column,
-            moves(scene.moments.column(column)),
+            moves(residuals.moments.column(column)),
         )
-        for scene in exam.scenes
-        for column in scene.covariates
+        for residuals in exam.sensors
+        for column in residuals.covariates
     }
 
 
@@ -109,11 +109,15 @@ def _why_slow(
 
 def _copied(exam: Examination, effect: str, sensor: str) -> str | None:
     """Say of what found effect's driver an effect's own is a copy; None where it is of none."""
-    scenes = [scene for scene in exam.scenes if scene.sensor == sensor and scene.covariates]
+    sensors = [residuals for residuals in exam.sensors if residuals.sensor == sensor and residuals.covariates]
     asked = [
-        h for scene in scenes for e in effects_in(scene) if e.name == effect for h in scene.hypotheses(e)
+        h
+        for residuals in sensors
+        for e in effects_in(residuals)
+        if e.name == effect
+        for h in residuals.hypotheses(e)
     ]
-    found = [s.hypothesis for s in exam.statements if s.hypothesis is not None and s.scene in scenes]
+    found = [s.hypothesis for s in exam.statements if s.hypothesis is not None and s.residuals in sensors]
     others = [h for h in found if h.effect.name != effect]
     alike = ((own, other) for own in asked for other in others if copies(own, other))
     return next(
@@ -165,7 +169,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         lasts, needed = bins.span[1] - bins.span[0], 2.0 * TAUS[0]
         yield lasts < needed, f"it lasts {np.floor(lasts):.0f} s, {needed:.0f} s are needed"
     if effect in ATTITUDES:
-        up = next((s.up for s in exam.scenes if s.sensor == sensor), None)
+        up = next((s.up for s in exam.sensors if s.sensor == sensor), None)
         have = 0 if up is None else distinct(up)
         yield (
             have < ATTITUDES[effect],
@@ -191,7 +195,7 @@ def _of_rest(exam: Examination, sensor: str) -> Iterator[Condition]:
 def why_not_logged(exam: Examination, effect: Effect) -> str | None:
     """Say why a recording does not tell what drives an effect; None where it does."""
     if isinstance(effect, CovariateBias):
-        logged = any(effect.column in scene.covariates for scene in exam.scenes)
+        logged = any(effect.column in residuals.covariates for residuals in exam.sensors)
         return None if logged else f"no column {effect.column}"
     if "temperature" in effect.follows and exam.bins.temperature is None:
         return next(why for stands, why in _of_temperature(exam) if stands)

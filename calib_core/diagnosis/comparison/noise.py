@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, P
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
 from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.timestamps import mean_period
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples
@@ -208,20 +208,24 @@ def why_no_density(stream: Stream) -> str:
     return "too little of it is at rest"
 
 
-def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()) -> Quantity | None:
+def slow_noise(
+    exam: Examination, residuals: SensorResiduals, asked: Sequence[Hypothesis] = ()
+) -> Quantity | None:
     """Return the Allan deviation of the bias at `AVERAGED`, logarithms; None without rests that long.
 
     It is averaged over the noise shapes by their posterior, the effects that were found and those `asked` for
     taken out first.
     """
-    explained = [s.hypothesis for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+    explained = [
+        s.hypothesis for s in exam.statements if s.residuals is residuals and s.hypothesis is not None
+    ]
     own = {h.effect.name for h in explained}
     explained += [h for h in asked if h.effect.name not in own]
-    reduced = reduce_scene(scene, [nothing(scene)], explained)
+    reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
     _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
     shown = [
         _deviation(view, sums, weight)
-        for view, sums, weight in zip(scene.views, reduced, weights, strict=True)
+        for view, sums, weight in zip(residuals.views, reduced, weights, strict=True)
         if view.name != "tangent"
     ]
     known = [s for s in shown if s is not None]
@@ -229,9 +233,9 @@ def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()
         return None
     value, error = np.array(known).T
     return Quantity(
-        f"{scene.sensor}_slow_noise",
-        scene.sensor,
-        (Part("allan_deviation_100s", UNIT[scene.sensor], value.size),),
+        f"{residuals.sensor}_slow_noise",
+        residuals.sensor,
+        (Part("allan_deviation_100s", UNIT[residuals.sensor], value.size),),
         value,
         np.diag(error**2),
         np.full(value.size, TIMES),
@@ -239,7 +243,7 @@ def slow_noise(exam: Examination, scene: Scene, asked: Sequence[Hypothesis] = ()
         np.arange(3) if value.size == 3 else np.array([-1]),
         logarithmic=True,
         reference={"averaging_s": AVERAGED},
-        where=Where(*scene.bins.span, (0.0, 1.0 / AVERAGED), "nothing"),
+        where=Where(*residuals.bins.span, (0.0, 1.0 / AVERAGED), "nothing"),
     )
 
 

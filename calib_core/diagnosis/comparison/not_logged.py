@@ -66,10 +66,10 @@ def not_logged(
 
 def of_finding(missing: Sequence[NotLogged], exam: Examination, finding: Finding) -> str | None:
     """Return why a finding that only this recording makes is not compared; None where it is."""
-    scene = next((s.scene for s in exam.statements if s.finding is finding), None)
-    if scene is None:
+    residuals = next((s.residuals for s in exam.statements if s.finding is finding), None)
+    if residuals is None:
         return None
-    return next((m.reason for m in missing if m.may_be(kind_of(scene), finding.effect)), None)
+    return next((m.reason for m in missing if m.may_be(kind_of(residuals), finding.effect)), None)
 
 
 def without_hidden(

@@ -124,11 +124,11 @@ def differences_of_samples(
 def _too_small(finding: Finding, own: Examination, other: Examination) -> str | None:
     """Say why another recording does not show a slow effect by its size; None where it would have."""
     stated = next((s for s in own.statements if s.finding is finding), None)
-    if stated is None or stated.scene is None:
+    if stated is None or stated.residuals is None:
         return None
     if (why := obstacle(other, finding.effect, finding.sensor)) is not None:
         return why
-    where = "turns" if stated.scene.turns else "rests"
+    where = "turns" if stated.residuals.turns else "rests"
     return None if shows_as_large(other, stated) else f"its {where} would not show one of this size"
 
 

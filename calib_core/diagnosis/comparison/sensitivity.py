@@ -23,14 +23,14 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     joint_log_likelihood,
     log_terms,
     null_log_likelihood,
-    residuals,
+    squares_left,
 )
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_residuals
 
 SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
 """Sizes are looked for from and up to so many times their prior's, to one part in 4000."""
@@ -80,22 +80,22 @@ class Sought:
 
 def sought(exam: Examination) -> list[Sought]:
     """Return every named slow effect that the recording's rests and turns could be asked for."""
-    scenes = [*exam.scenes, *([] if exam.turns is None else [exam.turns])]
+    sensors = [*exam.sensors, *([] if exam.turns is None else [exam.turns])]
     out = []
-    for scene in scenes:
-        if len(scene.bins) >= thresholds.LEAST_BINS and scene.sensor != exam.exchanged:
-            every = effects_in(scene)
+    for residuals in sensors:
+        if len(residuals.bins) >= thresholds.LEAST_BINS and residuals.sensor != exam.exchanged:
+            every = effects_in(residuals)
             named = [e for e in every if e.name != "unknown" and (exam.timed or not follows_time(e.follows))]
-            out += _of_scene(scene, named, _stated(exam, scene))
+            out += _of_one(residuals, named, _stated(exam, residuals))
     return out
 
 
-def _stated(exam: Examination, scene: Scene) -> list[Hypothesis]:
-    """Return the hypotheses that were stated of a scene."""
+def _stated(exam: Examination, residuals: SensorResiduals) -> list[Hypothesis]:
+    """Return the hypotheses that were stated of a sensor's residuals."""
     return [
         s.hypothesis
         for s in exam.statements
-        if s.hypothesis is not None and s.scene is not None and kind_of(s.scene) == kind_of(scene)
+        if s.hypothesis is not None and s.residuals is not None and kind_of(s.residuals) == kind_of(residuals)
     ]
 
 
@@ -104,32 +104,34 @@ def follows_time(driver: str) -> bool:
     return "time" in driver or driver.startswith("charging")
 
 
-def _of_scene(scene: Scene, effects: Sequence[Effect], stated: Sequence[Hypothesis]) -> list[Sought]:
+def _of_one(
+    residuals: SensorResiduals, effects: Sequence[Effect], stated: Sequence[Hypothesis]
+) -> list[Sought]:
     """Fit one hypothesis of every effect, beside those stated of other effects."""
-    asked = [one for effect in effects if (one := _typical(scene, effect)) is not None]
+    asked = [one for effect in effects if (one := _typical(residuals, effect)) is not None]
     found = {h.effect.name for h in stated}
     groups = [[h for h in asked if h.effect.name not in found]]
     groups += [[h for h in asked if h.effect.name == name] for name in sorted(found)]
     out = []
     for group in groups:
         beside = [h for h in stated if h.effect.name not in {own.effect.name for own in group}]
-        reduced = reduce_scene(scene, group, beside) if group else []
+        reduced = reduce_residuals(residuals, group, beside) if group else []
         out += [_sought(reduced, i, h) for i, h in enumerate(group)]
     return out
 
 
-def _typical(scene: Scene, effect: Effect) -> Hypothesis | None:
+def _typical(residuals: SensorResiduals, effect: Effect) -> Hypothesis | None:
     """Return the middle one of an effect's hypotheses; of a step, one in the middle of the rests.
 
     Its multiplicity is that of all of them, which compete with it.
     """
-    found = scene.hypotheses(effect)
+    found = residuals.hypotheses(effect)
     if found:
         return replace(found[len(found) // 2], multiplicity=len(found))
-    dictionary = effect.dictionary(scene.moments)
+    dictionary = effect.dictionary(residuals.moments)
     if dictionary is None or "t_start" not in effect.grid_units:
         return None
-    middle = scene.hypothesis(effect, {"t_start": float(np.median(scene.bins.t))})
+    middle = residuals.hypothesis(effect, {"t_start": float(np.median(residuals.bins.t))})
     return replace(middle, multiplicity=dictionary.multiplicity)
 
 
@@ -195,20 +197,22 @@ def shows_as_large(exam: Examination, found: Stated) -> bool:
     threshold, as much smaller as chance makes one in ten. What this recording cannot be given, without what
     drives it, is taken to show: nothing speaks against it.
     """
-    own, of = found.hypothesis, found.scene
+    own, of = found.hypothesis, found.residuals
     if own is None or of is None:
         return True
-    alike = [s for s in exam.every_scene if kind_of(s) == kind_of(of)]
-    scene = next((s for s in alike if len(s.bins) >= thresholds.LEAST_BINS), None)
-    if scene is None:
+    alike = [s for s in exam.with_turns if kind_of(s) == kind_of(of)]
+    residuals = next((s for s in alike if len(s.bins) >= thresholds.LEAST_BINS), None)
+    if residuals is None:
         return False
-    effect, grid = own.effect, _moved(own, of, scene)
+    effect, grid = own.effect, _moved(own, of, residuals)
     if any(p.name not in found.finding.parameters for p in effect.parameters):
         return True
-    if not effect.can_play(scene.moments, grid):
+    if not effect.can_play(residuals.moments, grid):
         return True
-    there = replace(scene.hypothesis(effect, grid), multiplicity=own.multiplicity)
-    reduced = reduce_scene(scene, [there], [h for h in _stated(exam, scene) if h.effect.name != effect.name])
+    there = replace(residuals.hypothesis(effect, grid), multiplicity=own.multiplicity)
+    reduced = reduce_residuals(
+        residuals, [there], [h for h in _stated(exam, residuals) if h.effect.name != effect.name]
+    )
     value = np.concatenate([np.ravel(found.finding.parameters[p.name].value) for p in effect.parameters])
     size = value / there.sizes
     largest = there.axis_of == there.axis_of[int(np.argmax(np.abs(size)))]
@@ -238,7 +242,7 @@ def _passes(reduced: Sequence[Reduced], hypothesis: Hypothesis, size: Array, cos
     return _gain(reduced, 0, fit.every, every, _likelihood(reduced, 0, fit.every)) >= needed
 
 
-def _moved(own: Hypothesis, of: Scene, to: Scene) -> dict[str, float]:
+def _moved(own: Hypothesis, of: SensorResiduals, to: SensorResiduals) -> dict[str, float]:
     """Return the grid point of an effect of one recording in another, whose times are others."""
     grid = dict(own.grid)
     if "t_start" in grid and "t_end" not in grid:
@@ -252,7 +256,7 @@ def _moved(own: Hypothesis, of: Scene, to: Scene) -> dict[str, float]:
 
 def _likelihood(reduced: Sequence[Reduced], index: int, beta: Array) -> float:
     """Return the log likelihood of the residuals with sizes (k,) taken off, in units of the prior."""
-    return joint_log_likelihood(reduced, [log_terms(v, residuals(v, index, beta)) for v in reduced])
+    return joint_log_likelihood(reduced, [log_terms(v, squares_left(v, index, beta)) for v in reduced])
 
 
 def _gain(reduced: Sequence[Reduced], index: int, beta: Array, added: Array, without: float) -> float:

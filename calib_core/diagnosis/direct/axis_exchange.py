@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
@@ -91,7 +91,7 @@ def other_axes(found: list[Step]) -> Finding | None:
         return None
     none = np.empty(0)
     nats = _nats([*misses[best][:, None]], none, float(len(every))) - _nats([*size[:, None]], none, 1.0)
-    return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), Seen(nats))
+    return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), DirectEvidence(nats))
 
 
 def turns_between(gyroscope: Samples | None, bins: Bins, gravity: float) -> list[Step]:
@@ -175,7 +175,7 @@ def _explained(
         return None
     mends = (change, same) if sensor == "accel" else (same, change)
     misses = [np.array([found[i].miss(*mends, e) for e in _edges(i, span)]) for i in rows]
-    seen = Seen(_nats(misses, size[~bad], 2.0 * len(exchanges()) * 0.5 * size.size**2))
+    seen = DirectEvidence(_nats(misses, size[~bad], 2.0 * len(exchanges()) * 0.5 * size.size**2))
     return _stated(found, size, span, (sensor, change), seen)
 
 
@@ -206,7 +206,7 @@ def _edges(i: int, span: tuple[int, int]) -> list[tuple[bool, bool, bool]]:
 
 
 def _stated(
-    found: list[Step], size: Array, span: tuple[int, int], exchange: tuple[str, Array], seen: Seen
+    found: list[Step], size: Array, span: tuple[int, int], exchange: tuple[str, Array], seen: DirectEvidence
 ) -> Finding | None:
     (first, last), (sensor, change) = span, exchange
     start, end = found[first].start, found[last].end

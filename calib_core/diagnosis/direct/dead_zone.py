@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
@@ -55,7 +55,7 @@ def dead_zone(samples: Samples, sensor: str) -> Finding | None:
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
     visits = [float(zone.visits) for zone in zones.values()]
     sizes = sized({"width": (width, UNIT[sensor]), "visits": (min(visits), "1")})
-    seen = Seen(of_chance(-max(visits) * float(np.log(2.0)), 6.0))
+    seen = DirectEvidence(of_chance(-max(visits) * float(np.log(2.0)), 6.0))
     return direct_finding("unknown", sensor, list(zones), where, sizes, statement=say, seen=seen)
 
 

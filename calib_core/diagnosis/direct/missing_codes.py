@@ -10,7 +10,13 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Index, Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
+    Index,
+    direct_finding,
+    of_chance,
+    sized,
+)
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Number, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.streams.samples import Samples
@@ -36,7 +42,7 @@ def dead_bits(samples: Samples, sensor: str) -> Finding | None:
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
     bits: Number = [float(bit) for bit, _ in found.values()]
     sizes = sized({"bit": (bits, "1"), "pairs": (pairs, "1")})
-    seen = Seen(max(_nats(bit, pairs) for bit, pairs in found.values()))
+    seen = DirectEvidence(max(_nats(bit, pairs) for bit, pairs in found.values()))
     return direct_finding("missing_codes", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
@@ -66,7 +72,7 @@ def _dead_bit(values: Array) -> tuple[int, int] | None:
         if start is None:
             continue
         pairs = int(np.unique((codes - start) // (2 * run)).size)
-        if Seen(_nats(bit, pairs)).stated:
+        if DirectEvidence(_nats(bit, pairs)).stated:
             return bit, pairs
     return None
 

@@ -9,9 +9,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     HeldOut,
     Measured,
-    Seen,
     direct_finding,
     of_fit,
     of_measured,
@@ -115,7 +115,7 @@ def quantisation(
     grid, held_out = grid_evidence(samples.xyz[:, axes[0]])
     unusual = of_measured(relative_step(seen), usual)
     # Both must hold: there is a grid, and it is coarser than that of sound phones.
-    judged = Seen(
+    judged = DirectEvidence(
         grid if lsb else min(grid, unusual.log_bayes_factor), held_out, "" if lsb else unusual.unusual
     )
     return direct_finding(

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.inference.left_out import of_shares
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Measured,
-    Seen,
     direct_finding,
     of_counts,
     of_measured,
@@ -76,7 +76,7 @@ def doubled(samples: Samples, count: int, once: float) -> Finding | None:
     share = share_of(float(count), total)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), TWICE)
     say = f"{share.value:.2%} of the samples were delivered twice, with the same time stamp."
-    seen = Seen(of_counts(float(count), total, LEAST_SHARE))
+    seen = DirectEvidence(of_counts(float(count), total, LEAST_SHARE))
     sizes = {"fraction": share.parameter("1")}
     return direct_finding("unknown", "timing", [], where, sizes, statement=say, seen=seen)
 

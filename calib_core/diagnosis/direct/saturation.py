@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_ENDS, common_extreme
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Measured,
-    Seen,
     direct_finding,
     of_chance,
     of_counts,
@@ -105,7 +105,7 @@ def saturation(samples: Samples, sensor: str, noise: Array, declared: float | No
         where,
         {"limit": Measured(value, error).parameter(UNIT[sensor])},
         statement=say,
-        seen=Seen(sum(one.nats for one in limits.values())),
+        seen=DirectEvidence(sum(one.nats for one in limits.values())),
     )
 
 
@@ -185,7 +185,7 @@ def _stays(signed: Array, on: NDArray[np.bool_], scale: _Scale) -> float | None:
     by_noise = scale.step / (float(np.sqrt(2.0 * np.pi)) * scale.noise)
     chance = max((repeats + 1.0) / (elsewhere.sum() + 2.0), by_noise)
     nats = of_chance(stays * float(np.log(chance)), 6.0)
-    return nats if Seen(nats).stated else None
+    return nats if DirectEvidence(nats).stated else None
 
 
 def _flat_top(values: Array, noise: float, least: float) -> Limit | None:

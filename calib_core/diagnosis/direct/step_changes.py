@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.stuck import longest_run
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
@@ -35,7 +35,7 @@ def step_change(samples: Samples, sensor: str) -> Finding | None:
         return None
     best = max(found, key=lambda a: found[a][0])
     nats, rows, coarse, fine = found[best]
-    axes = [a for a in found if Seen(found[a][0] - float(np.log(3.0))).stated] or [best]
+    axes = [a for a in found if DirectEvidence(found[a][0] - float(np.log(3.0))).stated] or [best]
     start, end = float(samples.t[rows.start]), float(samples.t[rows.stop - 1])
     named = ", ".join(AXES[a] for a in axes)
     say = (
@@ -43,7 +43,7 @@ def step_change(samples: Samples, sensor: str) -> Finding | None:
         f" {coarse:.4g} {UNIT[sensor]}, else in steps of {fine:.4g}."
     )
     sizes = sized({"step": (coarse, UNIT[sensor]), "finest_step": (fine, UNIT[sensor])})
-    seen = Seen(nats - float(np.log(3.0)))
+    seen = DirectEvidence(nats - float(np.log(3.0)))
     where = Where(start, end, (0.0, 0.0), DRIVER)
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 

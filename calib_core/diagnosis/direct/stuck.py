@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
@@ -50,7 +50,7 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     span = f"From {t[first]:.0f} to {t[last]:.0f} s"
     say = f"{span} the {NAME[sensor]}'s {AXES[axis]} axis is stuck at {value:.4g}."
     # As many repeats in a row, each with the chance of one elsewhere, on any axis, from any sample on.
-    seen = Seen(of_chance(length * float(np.log(chance)), 3.0 * t.size))
+    seen = DirectEvidence(of_chance(length * float(np.log(chance)), 3.0 * t.size))
     sizes = sized({"value": (value, UNIT[sensor]), "samples": (float(length + 1), "1")})
     return direct_finding("unknown", sensor, [axis], where, sizes, statement=say, seen=seen)
 

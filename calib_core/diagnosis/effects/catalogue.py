@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.effects.unknown import unknown_effects, unkno
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat, Warmup
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.errors import UserError
 
 GROUP = "stillcal.effects"
@@ -77,19 +77,19 @@ def effects_of(sensor: str, without: Collection[str] = (), *, in_turns: bool = F
     return [e for e in (*every, *unknown_effects(sensor)) if e.in_turns == in_turns]
 
 
-def effects_in(scene: Scene, without: Collection[str] = ()) -> list[Effect]:
-    """Return what is judged on a scene: the catalogue, and a bias that follows each further logged column."""
+def effects_in(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Effect]:
+    """Return what residuals are judged by: the catalogue, and a bias that follows a further logged column."""
     logged: list[Effect] = []
-    if not scene.turns:
-        moments = scene.moments
+    if not residuals.turns:
+        moments = residuals.moments
         spreads = {name: float(np.ptp(moments.column(name))) for name in moments.history.columns}
         logged += [
             effect
             for name, spread in spreads.items()
             if spread > 0.0
-            for effect in covariate_effects(scene.sensor, name, spread)
+            for effect in covariate_effects(residuals.sensor, name, spread)
         ]
-    return [*logged, *effects_of(scene.sensor, without, in_turns=bool(scene.turns))]
+    return [*logged, *effects_of(residuals.sensor, without, in_turns=bool(residuals.turns))]
 
 
 def nameless(effect: Effect) -> Effect:

@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.effects.warmup import nearby, time_constants
 from stillcal.calib_core.diagnosis.model.effect import Grid
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.moments import Moments, first_order, moves
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 COPY = 0.999
 """Correlation from which a column is a copy of what drives another effect: rounded, or in another unit."""
@@ -48,7 +48,7 @@ class CovariateBias(PolynomialBias):
         """Whether the column was logged."""
         return self.logged(moments) and super().can_play(moments, grid)
 
-    def course(self, moments: Moments, grid: Grid) -> Course:
+    def course(self, moments: Moments, grid: Grid) -> TimeSeries:
         """Return what the bias follows: the column about its mean at rest, in its own unit."""
         return moments.history.columns[self.column]
 
@@ -76,7 +76,7 @@ class LaggedCovariateBias(CovariateBias):
         """Return time constants within a factor of four."""
         return nearby(grid)
 
-    def course(self, moments: Moments, grid: Grid) -> Course:
+    def course(self, moments: Moments, grid: Grid) -> TimeSeries:
         """Return the column behind its lag, in its own unit."""
         return first_order(moments.history.columns[self.column], grid["tau_s"])
 

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.effects.temperature import known
 from stillcal.calib_core.diagnosis.model.effect import Dictionary, centred
 from stillcal.calib_core.diagnosis.model.moments import Moments, first_order, moves
 from stillcal.calib_core.diagnosis.segments.static_bins import Index
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 MOST_BORDERS = 250
 CYCLES = 40.0
@@ -147,7 +147,7 @@ def warmth(moments: Moments, lag: float) -> Array | None:
     now = moments.temperature
     if now is None or not known(moments) or lag == 0.0:
         return now if known(moments) else None
-    return first_order(Course(moments.t, now), lag).at(moments.t)
+    return first_order(TimeSeries(moments.t, now), lag).at(moments.t)
 
 
 def heating(moments: Moments, width: float) -> Array | None:

@@ -65,9 +65,9 @@ def of_probabilities(posterior: float, prior: float) -> float:
 def log_bayes_factor(views: Sequence[Reduced], hypotheses: int, multiplicity: float) -> float:
     """Return the log Bayes factor, in nats, of an effect against none, over its grid points and axes.
 
-    views: reduced for `hypotheses` grid points, each followed by its three axes alone (`reduce_scene` with
-    parts). multiplicity: how many independent points the grid has
-    besides these, as one of which they count; 1 where these are all.
+    views: reduced for `hypotheses` grid points, each followed by its three axes alone (`reduce_residuals`
+    with parts). multiplicity: how many independent points the grid has besides these, as one of which they
+    count; 1 where these are all.
     """
     single = np.log((1.0 - ALL_AXES) / 3.0)
     parts = [

@@ -23,7 +23,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_sum, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import families
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.maths.rms import rms
 
@@ -58,7 +58,7 @@ def likely_shapes(view: View, reduced: Reduced, residual: Array) -> list[Array]:
 
 
 def held_out(
-    scene: Scene, shapes: Sequence[Sequence[Array]], candidates: Sequence[Sequence[Hypothesis]]
+    residuals: SensorResiduals, shapes: Sequence[Sequence[Array]], candidates: Sequence[Sequence[Hypothesis]]
 ) -> HeldOut:
     """Predict each fold from the others.
 
@@ -66,18 +66,18 @@ def held_out(
     is true, such as one effect at several grid points beside others.
     """
     score, misses, training = 0.0, [np.zeros(0)], []
-    shared = [] if scene.shared is None else [scene.shared]
+    shared = [] if residuals.shared is None else [residuals.shared]
     parts = [
         [
             _Part.of(view, b, [e.columns[i][b] * e.sizes for e in (*effects, *shared)])
-            for i, view in enumerate(scene.views)
+            for i, view in enumerate(residuals.views)
             for b in range(len(view.y))
         ]
         for effects in candidates
     ]
     own = [effects[0].sizes.size if effects else 0 for effects in candidates]
-    of_part = [shapes[i] for i, view in enumerate(scene.views) for _ in range(len(view.y))]
-    fold = [_dealt(p.view.t, *scene.bins.span) for p in parts[0]]
+    of_part = [shapes[i] for i, view in enumerate(residuals.views) for _ in range(len(view.y))]
+    fold = [_dealt(p.view.t, *residuals.bins.span) for p in parts[0]]
     for k in range(FOLDS):
         rows = [f != k for f in fold]
         if all(r.all() for r in rows):

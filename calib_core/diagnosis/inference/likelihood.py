@@ -159,7 +159,7 @@ def with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
     if views[0].shared == 0:
         return views
     beta = maximum(views, NOTHING)[0]
-    return [replace(v, settled=beta, left=residuals(v, NOTHING, beta)) for v in views]
+    return [replace(v, settled=beta, left=squares_left(v, NOTHING, beta)) for v in views]
 
 
 @cache
@@ -472,18 +472,18 @@ def _climb(views: Sequence[Reduced], h: int, weights: list[Array]) -> Maximum:
     """Climb by expectation maximisation over shapes and scales: every step is a weighted least squares."""
     beta = _solve(views, h, weights)
     for _ in range(ITERATIONS):
-        left = [residuals(v, h, beta) for v in views]
+        left = [squares_left(v, h, beta) for v in views]
         _, likely = joint(views, [log_terms(v, r) for v, r in zip(views, left, strict=True)])
         weights = [w * v.dof / (v.known + r) for v, w, r in zip(views, likely, left, strict=True)]
         previous, beta = beta, _solve(views, h, weights)
         if (np.abs(previous - beta) <= 1e-9 + 1e-5 * np.abs(beta)).all():
             break
-    terms = [log_terms(v, residuals(v, h, beta)) for v in views]
+    terms = [log_terms(v, squares_left(v, h, beta)) for v in views]
     value, likely = joint(views, terms)
     return beta, value - 0.5 * float(beta @ beta), likely
 
 
-def residuals(view: Reduced, h: int, beta: Array) -> Array:
+def squares_left(view: Reduced, h: int, beta: Array) -> Array:
     """Return the whitened sum of squares (G,) under every shape with hypothesis `h` at `beta`."""
     linear = view.pulls[h] @ beta
     quadratic = _flat(view, h) @ np.outer(beta, beta).ravel()
@@ -506,7 +506,7 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     their expected information: one that leaves a parameter uncertain has more room for it than the curvature
     at the maximum knows of.
     """
-    rates = [v.dof / (v.known + residuals(v, h, beta)) for v in views]
+    rates = [v.dof / (v.known + squares_left(v, h, beta)) for v in views]
     pulls = [r[:, None] * (v.pulls[h] - v.blocks[h] @ beta) for v, r in zip(views, rates, strict=True)]
     expected = [_expected(v, h, r * w) for v, r, w in zip(views, rates, likely, strict=True)]
     pulled = sum(w @ p for w, p in zip(likely, pulls, strict=True)) - beta
@@ -520,7 +520,7 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
         room = 0.5 * (np.einsum("gi,gi->g", force, step) - np.linalg.slogdet(precision)[1])
         inverses.append(inverse)
         steps.append(step)
-        terms.append(log_terms(v, residuals(v, h, beta)) + room)
+        terms.append(log_terms(v, squares_left(v, h, beta)) + room)
     _, weights = joint(views, terms)
     new = [_expected(v, h, r * w) for v, r, w in zip(views, rates, weights, strict=True)]
     total = np.linalg.inv(sum(new) + np.eye(beta.size))
@@ -535,7 +535,7 @@ def expected_information(views: Sequence[Reduced], h: int, beta: Array, likely: 
 
     likely: the probabilities (G,) of the shapes there, view by view.
     """
-    rates = [v.dof / (v.known + residuals(v, h, beta)) for v in views]
+    rates = [v.dof / (v.known + squares_left(v, h, beta)) for v in views]
     parts = [_expected(v, h, w * r) for v, w, r in zip(views, likely, rates, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
 

@@ -14,11 +14,11 @@ from stillcal.calib_core.diagnosis.model.moments import Moments, mean_in, moment
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Turn
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class SensorResiduals:
     """One sensor's residuals and what may drive them. up: (n, 3) unit gravity in every bin, or None.
 
     turns: the turns between rests that the one view holds, two residuals each; none where the views hold
@@ -34,7 +34,7 @@ class Scene:
     gravity: float
     up: Array | None
     turns: tuple[Turn, ...] = ()
-    covariates: Mapping[str, Course] = field(default_factory=dict)
+    covariates: Mapping[str, TimeSeries] = field(default_factory=dict)
     shared: Hypothesis | None = None
     sensed: Array | None = None
     force_powers: Mapping[int, Array] = field(default_factory=dict)
@@ -129,7 +129,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hypothesis:
-    """An effect at one point of its grid. columns: one (b, n, k) for each of the scene's views.
+    """An effect at one point of its grid. columns: one (b, n, k) for each of the sensor's views.
 
     multiplicity: size of the dictionary it was taken from; 0 where all hypotheses of its effect are fitted.
     """
@@ -167,15 +167,15 @@ class Parameters(Effect):
         self.name, self.sensor, self.parameters = name, sensor, parameters
 
 
-def nothing(scene: Scene) -> Hypothesis:
+def nothing(residuals: SensorResiduals) -> Hypothesis:
     """Return a hypothesis with one column of nothing: the baseline phone itself."""
-    none = Parameters("nothing", scene.sensor, (Linear("none", "1", 1, 1.0),))
-    return Hypothesis(none, {}, tuple(np.zeros((*v.y.shape, 1)) for v in scene.views))
+    none = Parameters("nothing", residuals.sensor, (Linear("none", "1", 1, 1.0),))
+    return Hypothesis(none, {}, tuple(np.zeros((*v.y.shape, 1)) for v in residuals.views))
 
 
-def together(scene: Scene, hypotheses: Sequence[Hypothesis]) -> Hypothesis:
+def together(residuals: SensorResiduals, hypotheses: Sequence[Hypothesis]) -> Hypothesis:
     """Return several hypotheses as one, their parameters one after another."""
     parameters = tuple(p for h in hypotheses for p in h.effect.parameters)
     columns = zip(*(h.columns for h in hypotheses), strict=True)
     every = tuple(np.concatenate(c, axis=2) for c in columns)
-    return Hypothesis(Parameters("all", scene.sensor, parameters), {}, every)
+    return Hypothesis(Parameters("all", residuals.sensor, parameters), {}, every)

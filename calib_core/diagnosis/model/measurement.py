@@ -106,7 +106,7 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
-class Seen:
+class DirectEvidence:
     """What speaks for a direct finding.
 
     log_bayes_factor: nats for the effect against a sound phone. held_out: None where nothing is predicted.
@@ -133,7 +133,7 @@ def posterior(log_bayes_factor: float) -> float:
     return float(1.0 / (1.0 + np.exp(-np.clip(log_bayes_factor - np.log(DIRECT_CHECKS), -700.0, 700.0))))
 
 
-def of_measured(measured: Measured, usual: Usual, held_out: HeldOut | None = None) -> Seen:
+def of_measured(measured: Measured, usual: Usual, held_out: HeldOut | None = None) -> DirectEvidence:
     """Compare a measured number, normal about the phone's own, with what sound phones show.
 
     Sound: the number is one of the population's (`Usual.log_sound`). Faulty: it is anywhere in the range in
@@ -141,7 +141,7 @@ def of_measured(measured: Measured, usual: Usual, held_out: HeldOut | None = Non
     """
     value, error = measured.value, max(measured.error, 1e-12)
     gain = usual.log_faulty(value, error) - usual.log_sound(value, error)
-    return Seen(gain, held_out, usual.rarity(value))
+    return DirectEvidence(gain, held_out, usual.rarity(value))
 
 
 def of_counts(hits: float, trials: float, sound: float) -> float:
@@ -202,7 +202,7 @@ def direct_finding(
     parameters: dict[str, Parameter],
     *,
     statement: str,
-    seen: Seen,
+    seen: DirectEvidence,
     alternatives: Sequence[Alternative] = (),
 ) -> Finding | None:
     """Build a finding of a direct measurement; None where the evidence does not carry it."""
@@ -225,7 +225,20 @@ def sized(sizes: Mapping[str, tuple[Number, str]]) -> dict[str, Parameter]:
 
 
 __all__ = [
-    "FOLDS", "HeldOut", "Index", "Measured", "Seen", "direct_finding", "mean_of", "of_chance",
-    "of_counts", "of_fit", "of_measured", "of_vector", "posterior", "share_of", "sized",
+    "FOLDS",
+    "DirectEvidence",
+    "HeldOut",
+    "Index",
+    "Measured",
+    "direct_finding",
+    "mean_of",
+    "of_chance",
+    "of_counts",
+    "of_fit",
+    "of_measured",
+    "of_vector",
+    "posterior",
+    "share_of",
+    "sized",
     "vector",
 ]  # fmt: skip

@@ -10,9 +10,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW
-from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +28,7 @@ class History:
     activity: Array
     switches: Array | None = None
     reference_c: float | None = None
-    columns: Mapping[str, Course] = field(default_factory=dict)
+    columns: Mapping[str, TimeSeries] = field(default_factory=dict)
 
     @property
     def charger_moved(self) -> bool:
@@ -53,7 +53,7 @@ class History:
             changed, states = self.switches.T
             on = states[np.maximum(np.searchsorted(changed, times, side="right") - 1, 0)]
         z = filtered(plug * on + use * active, np.exp(-WINDOW / tau))
-        return Course(times, z + start * np.exp(-(times - times[0]) / tau)).mean(t, duration)
+        return TimeSeries(times, z + start * np.exp(-(times - times[0]) / tau)).mean(t, duration)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,12 +117,12 @@ class Moments:
         return float((self.t[i - 1] + self.duration[i - 1] / 2 + self.t[i] - self.duration[i] / 2) / 2)
 
 
-def mean_in(course: Course, bins: Bins) -> float:
+def mean_in(course: TimeSeries, bins: Bins) -> float:
     """Return the mean of a logged column in static bins."""
     return float(course.mean(bins.t, bins.duration).mean())
 
 
-def moments_of(bins: Bins, force: Array | None, covariates: Mapping[str, Course]) -> Moments:
+def moments_of(bins: Bins, force: Array | None, covariates: Mapping[str, TimeSeries]) -> Moments:
     """Return the drivers in static bins. force: (n, 3) m/s^2, gravity in body axes; None where unknown.
 
     covariates: further logged columns by name, each in its own unit.
@@ -160,11 +160,11 @@ def filtered(source: Array, decay: float) -> Array:
     return np.asarray(dtbsv(1, diagonals, (1.0 - decay) * source, lower=1, diag=1))
 
 
-def first_order(course: Course, tau: float) -> Course:
+def first_order(course: TimeSeries, tau: float) -> TimeSeries:
     """Return what a first-order system of a time constant, s, makes of a course: in balance at first."""
     t = np.arange(course.t[0], course.t[-1] + WINDOW, WINDOW)
     source = course.mean(t, np.full(t.size, WINDOW))
-    return Course(t, source[0] + filtered(source - source[0], float(np.exp(-WINDOW / tau))))
+    return TimeSeries(t, source[0] + filtered(source - source[0], float(np.exp(-WINDOW / tau))))
 
 
 def at_samples(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, vector
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, vector
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 
@@ -82,5 +82,5 @@ class AxisDelays:
         )
         there = Where(where.t_start, where.t_end, where.band_hz, DRIVER)
         parameters = {"delay": vector(delays, self.errors[which], "s")}
-        seen = Seen(max(of_chance(self.log_chance), least))
+        seen = DirectEvidence(max(of_chance(self.log_chance), least))
         return direct_finding("unknown", sensor, [axis], there, parameters, statement=say, seen=seen)

@@ -8,7 +8,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_chance
+from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
+    Measured,
+    direct_finding,
+    of_chance,
+)
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE, UNLIKELY
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
@@ -44,6 +49,6 @@ class DelayTrend:
             " course of the recording."
         )
         there = Where(where.t_start, where.t_end, where.band_hz, DRIVER)
-        seen = Seen(max(of_chance(self.log_chance), least))
+        seen = DirectEvidence(max(of_chance(self.log_chance), least))
         sizes = {"growth": self.growth.parameter("s")}
         return direct_finding("unknown", "timing", [], there, sizes, statement=say, seen=seen)

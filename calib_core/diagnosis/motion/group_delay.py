@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, Measured
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.noise.low_pass import LowPass, Spectra, low_pass_finding
 
@@ -81,7 +81,9 @@ class FilterDelay:
         )
         own = delay.evidence
         others = [Alternative(DELAY, own.heldout_log_score_gain or 0.0, True)] if alone else []
-        return low_pass_finding(self.spectrum, self.sensor, where, Seen(own.log_bayes_factor), others)
+        return low_pass_finding(
+            self.spectrum, self.sensor, where, DirectEvidence(own.log_bayes_factor), others
+        )
 
 
 def _unit(low_pass: LowPass) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_vector, vector
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_vector, vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
 
@@ -40,7 +40,7 @@ def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
     say = f"The accelerometer is {text} cm (x, y, z) away from the point about which the phone turns."
     parameters = {"position": vector(arm, error, "m")}
     nats = [of_vector(arm, within, size) - np.log(len(SIZES)) for size in SIZES]
-    seen = Seen(float(np.logaddexp.reduce(nats)), sums.held_out())
+    seen = DirectEvidence(float(np.logaddexp.reduce(nats)), sums.held_out())
     return direct_finding("lever_arm", "accel", axes, where, parameters, statement=say, seen=seen)
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import (
     NORMAL_95,
+    DirectEvidence,
     Index,
-    Seen,
     direct_finding,
     of_chance,
     sized,
@@ -232,7 +232,7 @@ def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Fin
     tries = float(log_chance.size)
     found: list[int] = []
     for i in np.argsort(log_chance):
-        if not Seen(of_chance(float(log_chance[i]), tries)).stated:
+        if not DirectEvidence(of_chance(float(log_chance[i]), tries)).stated:
             break
         if all(abs(steps.at[i] - steps.at[j]) > REACH for j in found):
             found.append(int(i))
@@ -254,5 +254,5 @@ def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Fin
     size = np.abs(steps.step[surest])
     axes = [] if turned else [int(a) for a in np.flatnonzero(size > 0.5 * size.max())]
     where = Where(min(times), max(times), (0.0, 1.0 / WINDOW), MISSED if turned else DRIVER)
-    seen, sensor = Seen(of_chance(float(log_chance[surest]), tries)), "gyro" if turned else "accel"
+    seen, sensor = DirectEvidence(of_chance(float(log_chance[surest]), tries)), "gyro" if turned else "accel"
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)

@@ -14,7 +14,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
-from stillcal.calib_core.diagnosis.model.measurement import HeldOut, Index, Seen, of_chance
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, HeldOut, Index, of_chance
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
 from stillcal.calib_core.diagnosis.noise.line_estimate import CLOCK, SIGNIFICANT, peak, vibration
@@ -68,7 +68,7 @@ def _clearest(told: Array, at: Index) -> tuple[float, int | None]:
     best = np.maximum(together, told[at].max(axis=1))
     k = int(np.argmax(best))
     nats = of_chance(-float(best[k]), float(at.size * (told.shape[1] + 1)))
-    return nats, int(at[k]) if Seen(nats).stated else None
+    return nats, int(at[k]) if DirectEvidence(nats).stated else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +134,7 @@ def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: floa
     # Cramer and Rao's bound of a sine's frequency, by how far it stands above the noise.
     above = float(np.sqrt(2.0 * (power / floor).sum()))
     error = float(np.hypot(np.sqrt(6.0) * step / np.pi / above, CLOCK * frequency))
-    evidence = Seen(nats, _left_out(rests.sums(seen, frequency), rests, seen))
+    evidence = DirectEvidence(nats, _left_out(rests.sums(seen, frequency), rests, seen))
     pitch, size = (frequency, error), (amplitude, scatter)
     return vibration(sensor, seen, axes, pitch=pitch, size=size, span=seen.whole, evidence=evidence)
 

@@ -16,8 +16,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Measured,
-    Seen,
     direct_finding,
     mean_of,
     of_measured,
@@ -60,7 +60,7 @@ def gathered_noise(spectrum: Spectra) -> Gathered:
 def gathered_noise_finding(found: Gathered, sensor: str, sound: Usual, where: Where) -> Finding | None:
     """State what no sound phone has; it has no name, for many a cause may have it."""
     seen = of_measured(found.excess, sound, of_means(found.pieces, np.array([sound.middle])))
-    one_axis = Seen(seen.log_bayes_factor - float(np.log(3.0)), seen.held_out, seen.unusual)
+    one_axis = DirectEvidence(seen.log_bayes_factor - float(np.log(3.0)), seen.held_out, seen.unusual)
     times = float(np.exp(found.excess.value))
     say = (
         f"The {NAME[sensor]}'s noise on {AXES[found.axis]} is gathered at few frequencies, at others in every"

@@ -16,9 +16,9 @@ from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import (
     NORMAL_95,
+    DirectEvidence,
     HeldOut,
     Measured,
-    Seen,
     direct_finding,
     of_counts,
     of_measured,
@@ -151,7 +151,7 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     gain = best.log_bayes_factor - float(np.log(len(every)))
     together = _together(everything)
     if together or not axes:
-        seen = Seen(gain, _left_out(scaled), best.unusual) if together and best.stated else best
+        seen = DirectEvidence(gain, _left_out(scaled), best.unusual) if together and best.stated else best
         return _at_once(sensor, scaled, where, seen) if together else _lone(sensor, scaled, where)
     values = np.abs(everything[:, axes]).ravel()
     fit = contaminated(values, (step / float(spread[axes].mean())) ** 2 / 12.0)
@@ -168,7 +168,7 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
             "1",
         ),
     }
-    seen = Seen(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
+    seen = DirectEvidence(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
         return _spikes(sensor, axes, everything, where, seen)
     if (odd := unlike_noise(everything[:, axes], step / float(spread[axes].min()))) != "":
@@ -177,7 +177,7 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     return direct_finding("noise_heavy_tailed", sensor, axes, where, parameters, statement=say, seen=seen)
 
 
-def _at_once(sensor: str, scaled: Sequence[Array], where: Where, seen: Seen) -> Finding | None:
+def _at_once(sensor: str, scaled: Sequence[Array], where: Where, seen: DirectEvidence) -> Finding | None:
     """State far samples that come on several axes at once, each alone in time; None of what lasts.
 
     Noise of the axes' own elements does not come so, and a knock rings for more than a sample.
@@ -229,7 +229,7 @@ def _lone(sensor: str, scaled: Sequence[Array], where: Where) -> Finding | None:
     hits, axes = int(found.any(axis=1).sum()), np.flatnonzero(found.any(axis=0)).tolist()
     if not hits:
         return None
-    seen = Seen(of_counts(float(hits), float(len(found)), LONE))
+    seen = DirectEvidence(of_counts(float(hits), float(len(found)), LONE))
     return _spikes(sensor, axes, np.concatenate(scaled), where, seen)
 
 
@@ -242,7 +242,7 @@ def _alone(z: Array) -> NDArray[np.bool_]:
     return np.asarray((size > OUTLIER) & lone[:, None])
 
 
-def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: Seen) -> Finding | None:
+def _spikes(sensor: str, axes: list[int], z: Array, where: Where, seen: DirectEvidence) -> Finding | None:
     far = np.abs(z[:, axes]) > FAR + 1.0
     if far.sum() < LEAST_SPIKES:
         return None

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     HeldOut,
     Index,
     Measured,
-    Seen,
     share_of,
     vector,
 )
@@ -138,7 +138,7 @@ class _Told:
     the first and the last of these; amplitude, error: (3,) of the sine there.
     """
 
-    seen: Seen
+    seen: DirectEvidence
     share: Measured
     span: tuple[float, float]
     amplitude: Array
@@ -221,7 +221,7 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
     times = max(int(np.count_nonzero(np.diff(there.astype(np.int8)) == 1)) + int(there[0]), 1)
     hits = float(there.sum())
     share = share_of(hits, float(there.size), max(hits / times, 1.0))
-    return _Told(Seen(nats, held_out), share, ends, amplitude, error)
+    return _Told(DirectEvidence(nats, held_out), share, ends, amplitude, error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

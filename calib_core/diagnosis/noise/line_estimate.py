@@ -13,9 +13,9 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import (
     NORMAL_95,
+    DirectEvidence,
     HeldOut,
     Index,
-    Seen,
     direct_finding,
     of_fit,
     vector,
@@ -134,7 +134,7 @@ def vibration(
     pitch: tuple[float, float],
     size: tuple[Array, Array],
     span: tuple[float, float],
-    evidence: Seen,
+    evidence: DirectEvidence,
 ) -> Finding | None:
     """State a vibration; None where the evidence does not carry it.
 
@@ -176,7 +176,7 @@ def _fraction(seen: Stretches, start: float, end: float) -> Parameter:
     return Parameter(part, [part - NORMAL_95 * error, min(part + NORMAL_95 * error, 1.0)], "1")
 
 
-def _seen(line: Array, noise: Array, frequencies: int) -> Seen:
+def _seen(line: Array, noise: Array, frequencies: int) -> DirectEvidence:
     """Return what powers (S, 3) say of a line: exponential about the noise, or about more, axis by axis.
 
     frequencies: how many were looked at. Powers of stretches left out are predicted by the others.
@@ -194,4 +194,4 @@ def _seen(line: Array, noise: Array, frequencies: int) -> Seen:
     more = np.maximum(ratio.mean(axis=0), 1.0)
     whole = float(len(ratio) * (more - 1.0 - np.log(more)).sum())
     held_out = HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
-    return Seen(of_fit(whole, 3.0, float(len(ratio)), float(frequencies)), held_out)
+    return DirectEvidence(of_fit(whole, 3.0, float(len(ratio)), float(frequencies)), held_out)

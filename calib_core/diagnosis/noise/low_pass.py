@@ -13,9 +13,9 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     HeldOut,
     Measured,
-    Seen,
     direct_finding,
     of_measured,
 )
@@ -232,7 +232,11 @@ def bandwidth(spectrum: Spectra, sensor: str, usual: Usual, where: Where) -> Fin
 
 
 def low_pass_finding(
-    spectrum: Spectra, sensor: str, where: Where, seen: Seen, alternatives: Sequence[Alternative] = ()
+    spectrum: Spectra,
+    sensor: str,
+    where: Where,
+    seen: DirectEvidence,
+    alternatives: Sequence[Alternative] = (),
 ) -> Finding | None:
     """State the low-pass of a spectrum that has one; None where the evidence does not carry it."""
     found = spectrum.low_pass

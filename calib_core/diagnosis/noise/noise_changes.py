@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import (
     FOLDS,
+    DirectEvidence,
     HeldOut,
     Index,
-    Seen,
     direct_finding,
     of_chance,
     of_fit,
@@ -51,7 +51,7 @@ LEAST_RANGE = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class LevelModel:
     """What the level may follow. driver: its name; design: (n, k); span: s, its change; tries: paid."""
 
     driver: str
@@ -62,11 +62,11 @@ class Course:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    course: Course
+    course: LevelModel
     fitted: Array
     high: NDArray[np.bool_]
     change: float
-    seen: Seen
+    seen: DirectEvidence
 
 
 def changing(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Finding | None:
@@ -121,7 +121,7 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
         f" to the most on {AXES[best]}."
     )
     where = Where(float(spectrum.t[0]), float(spectrum.t[-1]), (0.0, spectrum.rate / 2.0), "own force")
-    seen = Seen(fits[best].nats - float(np.log(3.0)), fits[best].held_out)
+    seen = DirectEvidence(fits[best].nats - float(np.log(3.0)), fits[best].held_out)
     return direct_finding(
         "unknown", sensor, clear, where, sized({"ratio": (ratio, "1")}), statement=say, seen=seen
     )
@@ -166,21 +166,21 @@ def parabola_of_force(level: Array, force: Array, by_chance: Array) -> ByForce:
     fitted, mean = design @ curve, np.average(level, weights=weight**2)
     without, within = (float((((level - said) * weight) ** 2).sum()) for said in (mean, fitted))
     chance = log_tail(0.5 * (without - within) * free / max(within, 1e-300), 2, free)
-    held_out = _left_out(level, Course("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
+    held_out = _left_out(level, LevelModel("own force", design, (0.0, 0.0), 3.0), np.arange(level.size))
     return ByForce(of_chance(chance), float(np.ptp(fitted)), held_out, curve)
 
 
-def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[Course]:
+def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[LevelModel]:
     n, whole = level.size, (float(t[0]), float(t[-1]))
     first, last = _run(level)
     inside = np.zeros(n, dtype=bool)
     inside[first:last] = True
     span = (float(t[first]), float(t[last]))
-    made = [Course("time", np.stack([np.ones(n), inside], axis=1), span, 0.5 * n * n)]
+    made = [LevelModel("time", np.stack([np.ones(n), inside], axis=1), span, 0.5 * n * n)]
     if bins.temperature is not None and np.ptp(bins.temperature[own]) > LEAST_RANGE:
-        made.append(Course("temperature", _hats(bins.temperature[own]), whole, 3.0))
+        made.append(LevelModel("temperature", _hats(bins.temperature[own]), whole, 3.0))
     if bins.charging is not None:
-        made.append(Course("charging", np.stack([np.ones(n), bins.charging[own]], axis=1), whole, 3.0))
+        made.append(LevelModel("charging", np.stack([np.ones(n), bins.charging[own]], axis=1), whole, 3.0))
     return made
 
 
@@ -190,7 +190,7 @@ def _hats(x: Array) -> Array:
     return np.stack([np.interp(x, knots, row) for row in np.eye(knots.size)], axis=1)
 
 
-def _fitted(level: Array, course: Course, spectrum: Spectra, rest: Index) -> _Fit | None:
+def _fitted(level: Array, course: LevelModel, spectrum: Spectra, rest: Index) -> _Fit | None:
     """Fit a course to the level (n,); None where the change is small, by chance, or uneven."""
     fitted = course.design @ _least_squares(course.design, level)
     high = fitted > 0.5 * (fitted.max() + fitted.min())
@@ -204,7 +204,7 @@ def _fitted(level: Array, course: Course, spectrum: Spectra, rest: Index) -> _Fi
     spread = max(max(pair) for pair in spreads)
     gained = 0.5 * float(((level - level.mean()) ** 2).sum() - (left**2).sum()) / spread**2
     held_out = _left_out(level, course, rest)
-    seen = Seen(of_fit(gained, course.design.shape[1], level.size, course.tries), held_out)
+    seen = DirectEvidence(of_fit(gained, course.design.shape[1], level.size, course.tries), held_out)
     if not seen.stated or held_out.gain < np.log(course.tries):
         return None
     return _Fit(course, fitted, high, change, seen)
@@ -294,7 +294,7 @@ def _stated(fit: _Fit, measured: Levels, sensor: str, rate: float) -> Finding | 
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=fit.seen)
 
 
-def _left_out(level: Array, course: Course, rest: Index) -> HeldOut:
+def _left_out(level: Array, course: LevelModel, rest: Index) -> HeldOut:
     """Predict the level of pieces left out by the course fitted to the others, and by their mean.
 
     Rests are left out whole, but of a stretch of time every fifth piece: a rest may hold all of it.

@@ -11,8 +11,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Measured,
-    Seen,
     direct_finding,
     mean_of,
     of_measured,
@@ -240,7 +240,7 @@ def _unequal(
     ratio = measured.values() / reference
     relative = np.log(measured.pieces[:, axis] / np.sqrt(measured.pieces[:, others].prod(axis=1)))
     typical = common["upright"].middle * (1.0 if axis == 2 else -0.5)
-    seen = Seen(
+    seen = DirectEvidence(
         float(gains[axis] - sound_log) - float(np.log(3.0)),
         of_means(relative, np.array([typical])),
         common["upright" if axis == 2 else "plane"].rarity(own.value if axis == 2 else ratios["plane"].value),

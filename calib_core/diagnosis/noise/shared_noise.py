@@ -13,8 +13,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import of_means
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Measured,
-    Seen,
     direct_finding,
     mean_of,
     of_measured,
@@ -80,7 +80,7 @@ def shared_noise_finding(found: Shared, sensor: str, sound: Usual, where: Where)
     """State a correlation that no sound phone has; it has no name, for many a cause may have it."""
     usual = 10.0**sound.middle - FLOOR
     seen = of_measured(found.size(), sound, of_means(found.pieces, np.array([usual])))
-    one_pair = Seen(seen.log_bayes_factor - float(np.log(len(PAIRS))), seen.held_out, seen.unusual)
+    one_pair = DirectEvidence(seen.log_bayes_factor - float(np.log(len(PAIRS))), seen.held_out, seen.unusual)
     a, b = (AXES[i] for i in found.axes)
     say = (
         f"The {NAME[sensor]}'s axes share noise: that of {a} and {b} has a correlation of"

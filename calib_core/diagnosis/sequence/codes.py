@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.missing_codes import ON_GRID
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Index,
-    Seen,
     direct_finding,
     of_chance,
     of_fit,
@@ -84,7 +84,7 @@ def by_code(samples: Samples, sensor: str, noise: Noise | None) -> Finding | Non
     if not found:
         return None
     best = max(found.values(), key=lambda r: r.nats)
-    axes = [a for a, r in found.items() if Seen(r.nats - float(np.log(9.0))).stated] or [
+    axes = [a for a, r in found.items() if DirectEvidence(r.nats - float(np.log(9.0))).stated] or [
         max(found, key=lambda a: found[a].nats)
     ]
     named, period = ", ".join(AXES[a] for a in axes), 2**best.bit
@@ -92,7 +92,7 @@ def by_code(samples: Samples, sensor: str, noise: Noise | None) -> Finding | Non
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), DRIVER)
     sizes = sized({"period_codes": (float(period), "codes")})
     # Three axes and three things that may depend on the code were tried.
-    seen = Seen(best.nats - float(np.log(9.0)))
+    seen = DirectEvidence(best.nats - float(np.log(9.0)))
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 

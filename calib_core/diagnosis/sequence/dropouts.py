@@ -13,7 +13,13 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.stuck import LEAST_S
-from stillcal.calib_core.diagnosis.model.measurement import Index, Seen, direct_finding, share_of, sized
+from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
+    Index,
+    direct_finding,
+    share_of,
+    sized,
+)
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.diagnosis.sequence.neighbours import residual, spread
@@ -114,7 +120,7 @@ def dropouts(samples: Samples, sensor: str) -> tuple[Finding | None, Flags]:
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), DROPS)
     sizes = {"fraction": share.parameter("1"), **sized({"value": (worst.value, UNIT[sensor])})}
     # Any of the seven sets of axes may drop.
-    seen = Seen(sum(d.nats for d in found.values()) - float(np.log(7.0)))
+    seen = DirectEvidence(sum(d.nats for d in found.values()) - float(np.log(7.0)))
     finding = direct_finding("unknown", sensor, list(found), where, sizes, statement=say, seen=seen)
     if finding is not None:
         for axis, dropped in found.items():

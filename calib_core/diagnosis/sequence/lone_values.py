@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Index,
-    Seen,
     direct_finding,
     of_counts,
     share_of,
@@ -64,7 +64,7 @@ def lone_values(samples: Samples, sensor: str, still: NDArray[np.bool_]) -> Find
     )
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), DRIVER)
     sizes = {"fraction": share.parameter("1"), **sized({"size": (size, UNIT[sensor])})}
-    seen = Seen(of_counts(float(rows.size), float(moving), SOUND))
+    seen = DirectEvidence(of_counts(float(rows.size), float(moving), SOUND))
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 

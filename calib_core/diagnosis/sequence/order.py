@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, WEIGHTS, residual, spread
 from stillcal.calib_core.streams.samples import Samples
@@ -77,7 +77,7 @@ def wrong_order(samples: Samples, sensor: str) -> Finding | None:
         f" {longest} at a time: put back, they follow their neighbours."
     )
     sizes = sized({"places": (float(places), "1"), "samples": (count, "1"), "longest": (float(longest), "1")})
-    seen = Seen(sum(one.nats for one in found))
+    seen = DirectEvidence(sum(one.nats for one in found))
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=say, seen=seen)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, lines
 from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, residual, spread
@@ -153,7 +153,7 @@ def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     half = 0.5 * len(samples) / max(float(samples.t[-1] - samples.t[0]), 1e-9)
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, half), DRIVER)
     sizes = sized({"period_samples": (length, "samples")})
-    seen = Seen(nats - float(np.log(3.0)))
+    seen = DirectEvidence(nats - float(np.log(3.0)))
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=told, seen=seen)
 
 

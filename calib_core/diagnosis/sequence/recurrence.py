@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     Index,
-    Seen,
     direct_finding,
     of_counts,
     share_of,
@@ -83,7 +83,7 @@ def delivered_again(samples: Samples, sensor: str, still: Flags) -> Finding | No
             "longest": (float(longest), "1"),
         }
     )
-    seen = Seen(sum(nats for _, nats in worth))
+    seen = DirectEvidence(sum(nats for _, nats in worth))
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=say, seen=seen)
 
 
@@ -176,7 +176,7 @@ def stale_axes(samples: Samples, sensor: str, dropped: Flags) -> Finding | None:
     where = Where(float(samples.t[rows[0]]), float(samples.t[rows[-1]]), (0.0, 0.0), STALE)
     sizes = {"fraction": share_of(hits, of).parameter("1")}
     # Any of the seven sets of axes may be late.
-    seen = Seen(sum(nats[a] for a in axes) - float(np.log(7.0)))
+    seen = DirectEvidence(sum(nats[a] for a in axes) - float(np.log(7.0)))
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 

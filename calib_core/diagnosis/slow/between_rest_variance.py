@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import of_probabilities
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
@@ -48,16 +48,18 @@ class Jumps:
     freedom: Array
 
 
-def jumps(scene: Scene, explained: Sequence[Hypothesis], reduced: Sequence[Reduced]) -> Jumps | None:
+def jumps(
+    residuals: SensorResiduals, explained: Sequence[Hypothesis], reduced: Sequence[Reduced]
+) -> Jumps | None:
     """Return the jumps of a bias beside what is `explained`, where there surely are any.
 
-    reduced: the scene, what is explained taken out. The norm of gravity tells of the accelerometer's three
-    axes together.
+    reduced: the residuals, what is explained taken out. The norm of gravity tells of the accelerometer's
+    three axes together.
     """
     _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
-    limit, told = thresholds.JUMP[scene.sensor], []
-    explained = [*explained, *([] if scene.shared is None else [scene.shared])]
-    for i, (view, left, weight) in enumerate(zip(scene.views, reduced, weights, strict=True)):
+    limit, told = thresholds.JUMP[residuals.sensor], []
+    explained = [*explained, *([] if residuals.shared is None else [residuals.shared])]
+    for i, (view, left, weight) in enumerate(zip(residuals.views, reduced, weights, strict=True)):
         if view.name == "tangent":
             continue
         allowed = limit**2 * (left.dof - 2.0) / (left.known + left.left)
@@ -81,29 +83,30 @@ def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
     return float(np.sqrt((means**2).sum() / freedom)), float(freedom)
 
 
-def stands(scene: Scene, one: Scored, found: Jumps) -> bool:
+def stands(residuals: SensorResiduals, one: Scored, found: Jumps) -> bool:
     """Whether a hypothesis has no name, or explains the larger part, more than the jumps that it leaves."""
     own = one.hypothesis
     if own.effect.name == "unknown":
         return True
     beta = own.sizes * one.fit.beta
-    seen = [v for v in zip(scene.views, own.columns, strict=True) if v[0].name != "tangent"]
+    seen = [v for v in zip(residuals.views, own.columns, strict=True) if v[0].name != "tangent"]
     explained = sum(float((columns @ beta).var()) for _, columns in seen)
     return explained >= float((found.size**2).sum())
 
 
-def finding(scene: Scene, found: Jumps) -> Finding:
+def finding(residuals: SensorResiduals, found: Jumps) -> Finding:
     """State the jumps: they have no name, for many a cause may have them."""
     sure, size, freedom = (np.broadcast_to(x, 3) for x in (found.sure, found.size, found.freedom))
     axes = [a for a, p in zip(AXES, sure, strict=True) if p >= thresholds.CERTAIN_NAMELESS]
     spread = NORMAL_95 / np.sqrt(2.0 * freedom)
     ci = np.stack([size * np.exp(-spread), size * np.exp(spread)], axis=1)
+    sensor = residuals.sensor
     say = (
-        f"The {NAME[scene.sensor]}'s bias changes from rest to rest by {size.max():.2g} {UNIT[scene.sensor]}"
+        f"The {NAME[sensor]}'s bias changes from rest to rest by {size.max():.2g} {UNIT[sensor]}"
         " (one standard deviation); possible causes are strain after handling and surrounding fields."
     )
-    where = Where(*scene.bins.span, SLOW_BAND, DRIVER)
+    where = Where(*residuals.bins.span, SLOW_BAND, DRIVER)
     odds = [of_probabilities(p, prior) for p, prior in zip(found.sure, found.prior, strict=True)]
     evidence = Evidence(log_bayes_factor=max(odds))
-    parameters = {"size": Parameter(size.tolist(), ci.tolist(), UNIT[scene.sensor])}
-    return Finding("unknown", scene.sensor, axes, where, parameters, evidence, [], say)
+    parameters = {"size": Parameter(size.tolist(), ci.tolist(), UNIT[residuals.sensor])}
+    return Finding("unknown", residuals.sensor, axes, where, parameters, evidence, [], say)

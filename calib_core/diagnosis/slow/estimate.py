@@ -19,10 +19,10 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     highest,
     null_log_likelihood,
 )
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Parameter
-from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_residuals
 
 GRID_PARAMETERS = ("tau_s", "period_s")
 
@@ -54,10 +54,10 @@ class Estimate:
         return float(chdtrc(float(unit.size), float(unit @ np.linalg.solve(scaled, unit))))
 
 
-def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Estimate:
+def estimate(residuals: SensorResiduals, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> Estimate:
     """Fit one finding with the others' columns free beside it."""
-    candidates = _candidates(scene, hypothesis, others)
-    reduced = reduce_scene(scene, candidates, others)
+    candidates = _candidates(residuals, hypothesis, others)
+    reduced = reduce_residuals(residuals, candidates, others)
     fits = [fit_hypothesis(reduced, h) for h in range(len(candidates))]
     gains = np.array([f.log_likelihood for f in fits])
     weight = np.exp(gains - gains.max())
@@ -75,34 +75,38 @@ def estimate(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis])
     return Estimate(top, mean, covariance, grid, float(gains.max() - null_log_likelihood(reduced)))
 
 
-def evidence_of(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
+def evidence_of(residuals: SensorResiduals, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> float:
     """Return the log Bayes factor of an effect over its fine grid, with `others` beside it."""
-    candidates = scene.finer(hypothesis)
-    reduced = reduce_scene(scene, candidates, others, parts=True)
-    return log_bayes_factor(reduced, len(candidates), max(tried(scene, hypothesis) / len(candidates), 1.0))
+    candidates = residuals.finer(hypothesis)
+    reduced = reduce_residuals(residuals, candidates, others, parts=True)
+    return log_bayes_factor(
+        reduced, len(candidates), max(tried(residuals, hypothesis) / len(candidates), 1.0)
+    )
 
 
-def tried(scene: Scene, hypothesis: Hypothesis) -> float:
+def tried(residuals: SensorResiduals, hypothesis: Hypothesis) -> float:
     """Return of how many curves or grid points a hypothesis is the best."""
-    return max(hypothesis.multiplicity, len(scene.hypotheses(hypothesis.effect)), 1)
+    return max(hypothesis.multiplicity, len(residuals.hypotheses(hypothesis.effect)), 1)
 
 
-def _candidates(scene: Scene, hypothesis: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _candidates(
+    residuals: SensorResiduals, hypothesis: Hypothesis, others: Sequence[Hypothesis]
+) -> list[Hypothesis]:
     """Return the points of the fine grid, also about coarse ones that differ in what that leaves as it is.
 
     The shares of a latent heat's sources are of the coarse grid alone, and hardly told: with those of the
     likeliest point only, its intervals were too narrow. Of each choice the likeliest point counts.
     """
-    made, known = scene.finer(hypothesis), {_choice(hypothesis)}
+    made, known = residuals.finer(hypothesis), {_choice(hypothesis)}
     if made == [hypothesis] or not _choice(hypothesis):
         return made
-    coarse = scene.hypotheses(hypothesis.effect)
-    reduced = reduce_scene(scene, coarse, others)
+    coarse = residuals.hypotheses(hypothesis.effect)
+    reduced = reduce_residuals(residuals, coarse, others)
     heights = np.array([highest(reduced, i) for i in range(len(coarse))])
     for i in np.argsort(-heights):
         if heights[i] > heights.max() - UNLIKELY and _choice(coarse[i]) not in known:
             known.add(_choice(coarse[i]))
-            made = [*made, *scene.finer(coarse[i])]
+            made = [*made, *residuals.finer(coarse[i])]
     return made
 
 

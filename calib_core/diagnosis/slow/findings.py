@@ -11,9 +11,9 @@ import numpy as np
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import copies
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, residuals
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, fit_hypothesis, squares_left
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
@@ -28,10 +28,10 @@ from stillcal.calib_core.diagnosis.slow.search import (
     Step,
     adequate,
     forward,
-    reduce_scene,
+    reduce_residuals,
     without_name,
 )
-from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
+from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_residuals
 from stillcal.calib_core.diagnosis.slow.wander import wander
 
 CHANCE = 1e-3
@@ -49,37 +49,39 @@ ALTERNATIVES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stated:
-    """A finding with the hypothesis it states and the scene it was found in; None where it has none."""
+    """A finding with the hypothesis it states and the residuals it was found in; None where it has none."""
 
     finding: Finding
     hypothesis: Hypothesis | None = None
-    scene: Scene | None = None
+    residuals: SensorResiduals | None = None
 
 
-def slow_findings(scene: Scene, without: Collection[str] = ()) -> list[Finding]:
+def slow_findings(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Finding]:
     """Return what the still bins of one sensor show, as `slow_statements` does, as findings only."""
-    return [s.finding for s in slow_statements(scene, without)]
+    return [s.finding for s in slow_statements(residuals, without)]
 
 
-def slow_statements(scene: Scene, without: Collection[str] = ()) -> list[Stated]:
+def slow_statements(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Stated]:
     """Return what the still bins of one sensor show, in the order it was found.
 
     without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called
     wander besides. Where nothing stands, nothing is explained, and wander is all that there is.
     """
-    if len(scene.bins) < thresholds.LEAST_BINS:
+    if len(residuals.bins) < thresholds.LEAST_BINS:
         return []
-    steps = forward(scene, effects_in(scene, without))
-    found, left = _jumps(scene, steps)
+    steps = forward(residuals, effects_in(residuals, without))
+    found, left = _jumps(residuals, steps)
     if found:
-        steps = [step for step in adequate(steps) if jumps.stands(scene, step.winner, found)]
-        found, left = _jumps(scene, steps)
-    stated = statements_of(scene, steps)
+        steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
+        found, left = _jumps(residuals, steps)
+    stated = statements_of(residuals, steps)
     if found:
-        beside = [jumps.finding(scene, found)]
+        beside = [jumps.finding(residuals, found)]
     else:
         withdrawn = steps and not stated
-        wandering = wander(scene, reduce_scene(scene, [nothing(scene)]) if withdrawn else left)
+        wandering = wander(
+            residuals, reduce_residuals(residuals, [nothing(residuals)]) if withdrawn else left
+        )
         beside = not_unknown_twice(stated, wandering)
     return [
         *stated,
@@ -93,48 +95,48 @@ def not_unknown_twice(stated: Sequence[Stated], wandering: Sequence[Finding]) ->
     return [f for f in wandering if not (nameless and f.effect == "unknown")]
 
 
-def _jumps(scene: Scene, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:
-    """Return a bias' jumps beside the steps, and the scene with these taken out."""
+def _jumps(residuals: SensorResiduals, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:
+    """Return a bias' jumps beside the steps, and the residuals with these taken out."""
     explained = [h for step in adequate(steps) for h in step.explained]
-    left = reduce_scene(scene, [nothing(scene)], explained)
-    return jumps.jumps(scene, explained, left), left
+    left = reduce_residuals(residuals, [nothing(residuals)], explained)
+    return jumps.jumps(residuals, explained, left), left
 
 
 def turn_findings(made: Aligned, bins: Bins, gravity: float, without: Collection[str] = ()) -> list[Finding]:
     """Return what the turns between rests show, as `turn_statements` does, as findings only."""
-    return [s.finding for s in turn_statements(turn_scene(made, bins, gravity), without)]
+    return [s.finding for s in turn_statements(turn_residuals(made, bins, gravity), without)]
 
 
-def turn_statements(scene: Scene | None, without: Collection[str] = ()) -> list[Stated]:
+def turn_statements(residuals: SensorResiduals | None, without: Collection[str] = ()) -> list[Stated]:
     """Return what gravity carried by the gyroscope from rest to rest shows; `without`: effects left out.
 
-    scene: the turns (`turn_scene`). Where rests are too few to judge the accelerometer, its errors would be
-    taken for the gyroscope's.
+    residuals: the turns (`turn_residuals`). Where rests are too few to judge the accelerometer, its errors
+    would be taken for the gyroscope's.
     """
-    if scene is None or len(scene.bins) < thresholds.LEAST_BINS:
+    if residuals is None or len(residuals.bins) < thresholds.LEAST_BINS:
         return []
-    return statements_of(scene, forward(scene, effects_in(scene, without)))
+    return statements_of(residuals, forward(residuals, effects_in(residuals, without)))
 
 
-def findings_of(scene: Scene, steps: Sequence[Step]) -> list[Finding]:
+def findings_of(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Finding]:
     """Turn forward steps into findings, as `statements_of` does, as findings only."""
-    return [s.finding for s in statements_of(scene, steps)]
+    return [s.finding for s in statements_of(residuals, steps)]
 
 
-def statements_of(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
+def statements_of(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
     Where none of the steps stands, what was a rival of the first one is tried, the likeliest first: the
     search was sure that there is structure, and only its shape was wrong.
     """
-    stated = _standing(scene, steps)
+    stated = _standing(residuals, steps)
     tried = iter(_rivals(steps[0])) if steps else iter(())
     while not stated and (rival := next(tried, None)):
-        stated = _standing(scene, [rival])
+        stated = _standing(residuals, [rival])
     return stated
 
 
-def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
+def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]:
     """Return the steps that stand, as findings.
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
@@ -147,7 +149,7 @@ def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
             continue
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
-        estimates = [estimate(scene, own, rest) for own, rest in zip(found, others, strict=True)]
+        estimates = [estimate(residuals, own, rest) for own, rest in zip(found, others, strict=True)]
         by_chance = [step for step, e in zip(kept, estimates, strict=True) if _by_chance(e, len(kept))]
         if by_chance:
             steps = _without(steps, by_chance[-1])
@@ -160,15 +162,15 @@ def _standing(scene: Scene, steps: Sequence[Step]) -> list[Stated]:
         if to_and_fro:
             steps = [without_name(s) if s.winner.hypothesis.effect.name == to_and_fro else s for s in steps]
             continue
-        made = [_finding(scene, *each) for each in zip(kept, estimates, others, strict=True)]
+        made = [_finding(residuals, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [_supported(f) for f in made]
         if min(gains) > 0.0:
-            forms = departures_of(scene, estimates)
-            doubtful = doubted(scene, kept, estimates, forms)
+            forms = departures_of(residuals, estimates)
+            doubtful = doubted(residuals, kept, estimates, forms)
             if doubtful is None:
                 told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
                 made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
-                return each_driver_once([Stated(f, h, scene) for f, h in zip(made, found, strict=True)])
+                return each_driver_once([Stated(f, h, residuals) for f, h in zip(made, found, strict=True)])
             steps = [without_name(s) if s.winner.fit is doubtful.winner.fit else s for s in steps]
             continue
         weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]
@@ -274,10 +276,12 @@ def _without(steps: Sequence[Step], weak: Step) -> list[Step]:
     return [s for s in steps if s.winner.fit is not weak.winner.fit]
 
 
-def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
+def _finding(residuals: SensorResiduals, step: Step, found: Estimate, others: list[Hypothesis]) -> Finding:
     own = found.hypothesis
-    before, after = _predicted(scene, None, others), _predicted(scene, own, others)
-    rivals = [(s, _predicted(scene, s.hypothesis, others)) for s in (*_shown(step), *_best_nameless(step))]
+    before, after = _predicted(residuals, None, others), _predicted(residuals, own, others)
+    rivals = [
+        (s, _predicted(residuals, s.hypothesis, others)) for s in (*_shown(step), *_best_nameless(step))
+    ]
     alternatives = [
         _alternative(s, step.winner, before, each)
         for s, each in rivals
@@ -286,24 +290,26 @@ def _finding(scene: Scene, step: Step, found: Estimate, others: list[Hypothesis]
     axes = named_axes(found)
     return Finding(
         effect=own.effect.name,
-        sensor=scene.sensor,
+        sensor=residuals.sensor,
         axes=axes,
-        where=_where(scene, own),
+        where=_where(residuals, own),
         parameters=parameters(found),
         evidence=Evidence(
             heldout_rmse_before=before.rmse,
             heldout_rmse_after=after.rmse,
             heldout_log_score_gain=after.log_score - before.log_score,
             folds=FOLDS,
-            named_in_folds=_first_in(scene, (step.winner, after), rivals),
-            log_bayes_factor=evidence_of(scene, own, others),
+            named_in_folds=_first_in(residuals, (step.winner, after), rivals),
+            log_bayes_factor=evidence_of(residuals, own, others),
         ),
         alternatives=alternatives,
         statement=sentence(found, axes, alternatives),
     )
 
 
-def _first_in(scene: Scene, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]) -> int:
+def _first_in(
+    residuals: SensorResiduals, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[Scored, HeldOut]]
+) -> int:
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
     An effect that was picked from many curves or grid points gives away the logarithm of their number, and
@@ -311,7 +317,7 @@ def _first_in(scene: Scene, own: tuple[Scored, HeldOut], rivals: Sequence[tuple[
     """
     different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
     mine, *others = (
-        np.array(h.training) - np.log(tried(scene, s.hypothesis)) - _given_away(s)
+        np.array(h.training) - np.log(tried(residuals, s.hypothesis)) - _given_away(s)
         for s, h in (own, *different)
     )
     return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)
@@ -338,21 +344,23 @@ def _shown(step: Step) -> list[Scored]:
     return list(shown.values())[:ALTERNATIVES]
 
 
-def _predicted(scene: Scene, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]) -> HeldOut:
+def _predicted(
+    residuals: SensorResiduals, hypothesis: Hypothesis | None, others: Sequence[Hypothesis]
+) -> HeldOut:
     """Return held-out scores with `others` and, if given, one more effect, the noise refitted for it."""
     effects = [*([] if hypothesis is None else [hypothesis]), *others]
     if not effects:
-        reduced = reduce_scene(scene, [nothing(scene)])
-        shapes = [likely_shapes(v, r, r.left) for v, r in zip(scene.views, reduced, strict=True)]
-        return held_out(scene, shapes, [[]])
-    reduced = reduce_scene(scene, effects[:1], effects[1:])
+        reduced = reduce_residuals(residuals, [nothing(residuals)])
+        shapes = [likely_shapes(v, r, r.left) for v, r in zip(residuals.views, reduced, strict=True)]
+        return held_out(residuals, shapes, [[]])
+    reduced = reduce_residuals(residuals, effects[:1], effects[1:])
     beta = fit_hypothesis(reduced, 0).every
-    left = [residuals(r, 0, beta) for r in reduced]
-    shapes = [likely_shapes(v, r, x) for v, r, x in zip(scene.views, reduced, left, strict=True)]
+    left = [squares_left(r, 0, beta) for r in reduced]
+    shapes = [likely_shapes(v, r, x) for v, r, x in zip(residuals.views, reduced, left, strict=True)]
     if hypothesis is None:
-        return held_out(scene, shapes, [effects])
-    nearby = [h for h in scene.finer(hypothesis) if h is not hypothesis][::GRID_STRIDE]
-    return held_out(scene, shapes, [effects, *([h, *others] for h in nearby)])
+        return held_out(residuals, shapes, [effects])
+    nearby = [h for h in residuals.finer(hypothesis) if h is not hypothesis][::GRID_STRIDE]
+    return held_out(residuals, shapes, [effects, *([h, *others] for h in nearby)])
 
 
 def _alternative(other: Scored, winner: Scored, before: HeldOut, after: HeldOut) -> Alternative:
@@ -391,8 +399,8 @@ def _size(found: Estimate, axes: list[str]) -> str:
     return f"{first.name} {value[top]:.3g}{unit}"
 
 
-def _where(scene: Scene, hypothesis: Hypothesis) -> Where:
-    start, end = scene.bins.span
+def _where(residuals: SensorResiduals, hypothesis: Hypothesis) -> Where:
+    start, end = residuals.bins.span
     t_start = hypothesis.grid.get("t_start", start)
     return Where(t_start, hypothesis.grid.get("t_end", end), SLOW_BAND, hypothesis.effect.follows)
 

@@ -18,12 +18,12 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES, log_evid
 from stillcal.calib_core.diagnosis.inference.likelihood import NOTHING, fit_hypothesis, log_sum
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, difference
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, difference
 from stillcal.calib_core.diagnosis.model.moments import Moments, first_order
 from stillcal.calib_core.diagnosis.model.records import Departure
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, evidence_of
-from stillcal.calib_core.diagnosis.slow.search import Scored, Step, reduce_scene, refined
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, reduce_residuals, refined
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 LAGS = (20.0, 60.0, 200.0, 600.0, 2000.0)
 """s: time constants with which an effect may come late; the shortest is two bins."""
@@ -41,7 +41,7 @@ LATE, BENT, CHANGING = "not all at once", "along another curve", "not alike at a
 """In what an effect may depart from the form that its name gives."""
 
 
-def departure(scene: Scene, found: Estimate, others: Sequence[Hypothesis]) -> Departure:
+def departure(residuals: SensorResiduals, found: Estimate, others: Sequence[Hypothesis]) -> Departure:
     """Return how what was found departs from its form, with `others` beside it, in rests.
 
     The noise is fitted anew for each way of departing. The effect's sizes are free beside it, and so is a
@@ -49,10 +49,10 @@ def departure(scene: Scene, found: Estimate, others: Sequence[Hypothesis]) -> De
     """
     own = found.hypothesis
     ways = [
-        (way, Hypothesis(_part(scene.sensor, made), {}, scene.columns_of(made, own.effect.blind)))
-        for way, made in _departures(scene.moments, found)
+        (way, Hypothesis(_part(residuals.sensor, made), {}, residuals.columns_of(made, own.effect.blind)))
+        for way, made in _departures(residuals.moments, found)
     ]
-    reduced = reduce_scene(scene, [h for _, h in ways], [own, *_slope(scene, own), *others])
+    reduced = reduce_residuals(residuals, [h for _, h in ways], [own, *_slope(residuals, own), *others])
     # The least size of a departure is next to nothing: it is no less likely than that, but for its share.
     least = -float(np.log(SIZES.size))
     none = log_evidence(reduced, NOTHING)
@@ -64,7 +64,10 @@ def departure(scene: Scene, found: Estimate, others: Sequence[Hypothesis]) -> De
 
 
 def doubted(
-    scene: Scene, steps: Sequence[Step], estimates: Sequence[Estimate], departures: Sequence[Departure | None]
+    residuals: SensorResiduals,
+    steps: Sequence[Step],
+    estimates: Sequence[Estimate],
+    departures: Sequence[Departure | None],
 ) -> Step | None:
     """Return the last of findings that stand together whose name does not; None where every name does."""
     found = [e.hypothesis for e in estimates]
@@ -72,19 +75,21 @@ def doubted(
         form, others = departures[i], [*found[:i], *found[i + 1 :]]
         if form is None:
             continue
-        if _of_another(scene, i, steps, estimates) or not _keeps(scene, steps[i], estimates[i], others, form):
+        if _of_another(residuals, i, steps, estimates) or not _keeps(
+            residuals, steps[i], estimates[i], others, form
+        ):
             return steps[i]
     return None
 
 
-def departures_of(scene: Scene, estimates: Sequence[Estimate]) -> list[Departure | None]:
+def departures_of(residuals: SensorResiduals, estimates: Sequence[Estimate]) -> list[Departure | None]:
     """Return how each finding departs from its form, with the others beside it; None without a name.
 
     In turns nothing is judged: what comes late there is not known from one to the next.
     """
     found = [e.hypothesis for e in estimates]
     return [
-        None if scene.turns or _nameless(e) else departure(scene, e, [*found[:i], *found[i + 1 :]])
+        None if residuals.turns or _nameless(e) else departure(residuals, e, [*found[:i], *found[i + 1 :]])
         for i, e in enumerate(estimates)
     ]
 
@@ -103,7 +108,9 @@ def _nameless(found: Estimate) -> bool:
     return found.hypothesis.effect.name == "unknown"
 
 
-def _of_another(scene: Scene, i: int, steps: Sequence[Step], estimates: Sequence[Estimate]) -> bool:
+def _of_another(
+    residuals: SensorResiduals, i: int, steps: Sequence[Step], estimates: Sequence[Estimate]
+) -> bool:
     """Whether a finding may be no effect of its own, but how another one departs from its form.
 
     That one has a form that may be left open: it has a name, or had one until it was doubted. A second effect
@@ -115,14 +122,16 @@ def _of_another(scene: Scene, i: int, steps: Sequence[Step], estimates: Sequence
         if j == i or isinstance(other.hypothesis.effect, Unknown):
             continue
         rest = [h for k, h in enumerate(found) if k not in (i, j)]
-        alone = estimate(scene, other.hypothesis, rest)
-        own = evidence_of(scene, found[i], [alone.hypothesis, *rest]) - looked_for
-        if departure(scene, alone, rest).log_bayes_factor > own - DOUBT:
+        alone = estimate(residuals, other.hypothesis, rest)
+        own = evidence_of(residuals, found[i], [alone.hypothesis, *rest]) - looked_for
+        if departure(residuals, alone, rest).log_bayes_factor > own - DOUBT:
             return True
     return False
 
 
-def _keeps(scene: Scene, step: Step, found: Estimate, others: Sequence[Hypothesis], form: Departure) -> bool:
+def _keeps(
+    residuals: SensorResiduals, step: Step, found: Estimate, others: Sequence[Hypothesis], form: Departure
+) -> bool:
     """Whether a name stands: its form holds, or it is the larger part and no other name comes as near.
 
     Where its form does not hold, other names are as likely, with their forms left open, but for odds that are
@@ -130,14 +139,14 @@ def _keeps(scene: Scene, step: Step, found: Estimate, others: Sequence[Hypothesi
     """
     if form.log_bayes_factor <= DOUBT or form.part <= thresholds.MODELLED:
         return True
-    pure = evidence_of(scene, found.hypothesis, others)
+    pure = evidence_of(residuals, found.hypothesis, others)
     if form.log_bayes_factor > pure:
         return False
     own = _left_open(pure, form)
     for rival in _rivals(step):
-        near = estimate(scene, refined(scene, Step(rival, ()), others).winner.hypothesis, others)
-        other = evidence_of(scene, near.hypothesis, others)
-        if _left_open(other, departure(scene, near, others)) > own - DOUBT:
+        near = estimate(residuals, refined(residuals, Step(rival, ()), others).winner.hypothesis, others)
+        other = evidence_of(residuals, near.hypothesis, others)
+        if _left_open(other, departure(residuals, near, others)) > own - DOUBT:
             return False
     return True
 
@@ -198,12 +207,12 @@ def _place(curve: Array | None, error: Array) -> Array | None:
 
 def _late(t: Array, error: Array, lag: float) -> Array:
     """Return what a first-order system makes of an effect (n, 3) that is in balance at first."""
-    return np.stack([first_order(Course(t, axis), lag).at(t) for axis in error.T], axis=1)
+    return np.stack([first_order(TimeSeries(t, axis), lag).at(t) for axis in error.T], axis=1)
 
 
-def _slope(scene: Scene, own: Hypothesis) -> list[Hypothesis]:
+def _slope(residuals: SensorResiduals, own: Hypothesis) -> list[Hypothesis]:
     """Return what a time constant, or a moment, that is slightly off leaves; nothing without one."""
-    fine = scene.finer(own)
+    fine = residuals.finer(own)
     if fine == [own] or not own.effect.grid_units:
         return []
     name = next(iter(own.effect.grid_units))

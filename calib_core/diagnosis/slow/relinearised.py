@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.moments import turning
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates
@@ -37,13 +37,13 @@ the rate itself is still followed."""
 class OffTurns:
     """The gyroscope's samples without effects of the rate itself.
 
-    rates: what else is taken off; affine: the bias and the mapping that make a rate of what is left; scene:
-    the turns; found, values: the effects, and the sizes (k,) of each, SI.
+    rates: what else is taken off; affine: the bias and the mapping that make a rate of what is left;
+    residuals: the turns; found, values: the effects, and the sizes (k,) of each, SI.
     """
 
     rates: Rates
     affine: Aligned
-    scene: Scene
+    residuals: SensorResiduals
     found: Sequence[Hypothesis]
     values: Sequence[Array]
 
@@ -58,7 +58,7 @@ class OffTurns:
 
     def _error(self, t: Array, rate: Array) -> Array:
         """Return what the effects add (n, 3) at a true rate (n, 3)."""
-        known, warm = self.scene.moments, 0.0
+        known, warm = self.residuals.moments, 0.0
         if known.temperature is not None and known.history.reference_c is not None:
             warm = float(np.interp(t, known.t, known.temperature).mean()) + known.history.reference_c
         during = turning(known, t, rate, warm)
@@ -68,9 +68,9 @@ class OffTurns:
 
 def about_effects(
     stated: Sequence[Stated],
-    start: tuple[Aligned, Scene],
+    start: tuple[Aligned, SensorResiduals],
     rates: Rates,
-    again: Callable[[Rates], tuple[Aligned, Scene | None]],
+    again: Callable[[Rates], tuple[Aligned, SensorResiduals | None]],
 ) -> list[Stated]:
     """Return the statements of turns with the sizes of named effects estimated about these effects.
 
@@ -84,15 +84,15 @@ def about_effects(
     others = [s.hypothesis for s in stated if s.hypothesis is not None and s not in named]
     values = [sizes(s) for s in named]
     estimates: list[Estimate] = []
-    (affine, scene), known = start, start[1]
+    (affine, residuals), known = start, start[1]
     for _ in range(ROUNDS):
         affine, made = again(OffTurns(rates, affine, known, found, values))
         if made is None:
             return list(stated)
-        scene = made
-        own = [scene.hypothesis(h.effect, h.grid) for h in found]
-        beside = [scene.hypothesis(h.effect, h.grid) for h in others]
-        estimates = [estimate(scene, one, [h for h in [*own, *beside] if h is not one]) for one in own]
+        residuals = made
+        own = [residuals.hypothesis(h.effect, h.grid) for h in found]
+        beside = [residuals.hypothesis(h.effect, h.grid) for h in others]
+        estimates = [estimate(residuals, one, [h for h in [*own, *beside] if h is not one]) for one in own]
         values = [v + e.value for v, e in zip(values, estimates, strict=True)]
         if all((np.abs(e.value) <= SETTLED * e.sigma).all() for e in estimates):
             break

@@ -22,9 +22,9 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
 )
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS, Dictionary, Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.slow.two_level import Course, grown
+from stillcal.calib_core.diagnosis.slow.two_level import TwoLevelPath, grown
 
 KEPT = 5
 """Curves of a dictionary that go on, under each covariance."""
@@ -38,40 +38,43 @@ MODERATE = "flicker"
 
 
 def screened(
-    scene: Scene, effects: Sequence[Effect], reduced: Sequence[Reduced], found: Sequence[Hypothesis]
+    residuals: SensorResiduals,
+    effects: Sequence[Effect],
+    reduced: Sequence[Reduced],
+    found: Sequence[Hypothesis],
 ) -> list[Hypothesis]:
-    """Return the hypotheses of dictionaries that go on. reduced: the scene with `found` taken out."""
-    choices = _choices(scene, reduced)
-    found = [*found, *([] if scene.shared is None else [scene.shared])]
+    """Return the hypotheses of dictionaries that go on. reduced: the residuals with `found` taken out."""
+    choices = _choices(residuals, reduced)
+    found = [*found, *([] if residuals.shared is None else [residuals.shared])]
     whitened = [_Whitened(v, choice, _extra(found, i)) for i, (v, choice) in enumerate(choices)]
     kept = []
     for effect in effects:
-        many = effect.dictionary(scene.moments)
+        many = effect.dictionary(residuals.moments)
         if many is None:
             continue
         if many.switching:
-            kept += _switching(effect, scene, whitened, many)
+            kept += _switching(effect, residuals, whitened, many)
             continue
         best: set[int] = set()
         for c in range(len(whitened[0].diagonals)):
             gains = _gains(whitened, many, c, effect.parameters[0].size)
             best |= set(np.argsort(-gains)[:KEPT].tolist())
-        kept += [hypothesis(effect, scene, many, k) for k in sorted(best)]
+        kept += [hypothesis(effect, residuals, many, k) for k in sorted(best)]
     return kept
 
 
-def hypothesis(effect: Effect, scene: Scene, many: Dictionary, k: int) -> Hypothesis:
+def hypothesis(effect: Effect, residuals: SensorResiduals, many: Dictionary, k: int) -> Hypothesis:
     """Return curve number `k` of a dictionary as a hypothesis, its curves on each axis one after another."""
-    columns = tuple(_columns(v, many.curve(k)[None], many.driven) for v in scene.views)
+    columns = tuple(_columns(v, many.curve(k)[None], many.driven) for v in residuals.views)
     return Hypothesis(effect, many.grids[k], columns, many.multiplicity)
 
 
 def _switching(
-    effect: Effect, scene: Scene, whitened: Sequence[_Whitened], many: Dictionary
+    effect: Effect, residuals: SensorResiduals, whitened: Sequence[_Whitened], many: Dictionary
 ) -> list[Hypothesis]:
     """Return the likeliest courses between two levels, grown from the best stretches of each covariance."""
     assert many.pairs is not None
-    courses: dict[bytes, Course] = {}
+    courses: dict[bytes, TwoLevelPath] = {}
     for c in range(len(whitened[0].diagonals)):
         gram, target, power = _inner(whitened, many, c, effect.parameters[0].size)
         starts = np.argsort(-_gains_of_pairs(gram, target, many.pairs))[: KEPT * SPREAD : SPREAD]
@@ -82,7 +85,7 @@ def _switching(
     made = []
     for course in courses.values():
         curve = np.tensordot(course.changes.astype(float), many.curves, 1)
-        columns = tuple(_columns(v, curve[None]) for v in scene.views)
+        columns = tuple(_columns(v, curve[None]) for v in residuals.views)
         made.append(Hypothesis(effect, {}, columns, float(np.exp(course.log_trials))))
     return made
 
@@ -108,11 +111,11 @@ def _extra(found: Sequence[Hypothesis], i: int) -> Array | None:
     return np.asarray(extra[:, :, seen]) if seen.any() else None
 
 
-def _choices(scene: Scene, reduced: Sequence[Reduced]) -> list[tuple[View, list[int]]]:
+def _choices(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[tuple[View, list[int]]]:
     """Return for each view the numbers of the shapes to screen under: white, likeliest, a moderate one."""
     _, weights = joint(reduced, [log_terms(r, r.left) for r in reduced])
     out = []
-    for view, r, weight in zip(scene.views, reduced, weights, strict=True):
+    for view, r, weight in zip(residuals.views, reduced, weights, strict=True):
         moderate = [i for i, name in enumerate(r.family) if name == MODERATE]
         middle = moderate[len(moderate) // 2 - 1] if moderate else 0
         out.append((view, [0, int(np.argmax(weight)), middle]))

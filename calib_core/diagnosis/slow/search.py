@@ -30,7 +30,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
 )
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, difference, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, difference, nothing
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
@@ -90,17 +90,19 @@ def log_tail(fall: float, parameters: int, dof: float) -> float:
     return float(-a * fall + (b - 1.0) * np.log1p(-np.exp(-fall)) - np.log(a) - betaln(a, b))
 
 
-def proposals(scene: Scene, effects: Sequence[Effect]) -> list[Hypothesis]:
-    """Return all hypotheses that the effects propose in a scene."""
-    return [h for effect in effects for h in scene.hypotheses(effect)]
+def proposals(residuals: SensorResiduals, effects: Sequence[Effect]) -> list[Hypothesis]:
+    """Return all hypotheses that the effects propose in a sensor's residuals."""
+    return [h for effect in effects for h in residuals.hypotheses(effect)]
 
 
-def compete(scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()) -> list[Scored]:
+def compete(
+    residuals: SensorResiduals, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = ()
+) -> list[Scored]:
     """Score every hypothesis with baseline and `found` projected out; best of each effect, best first."""
     grids = Counter(id(h.effect) for h in hypotheses)
     best: dict[int, Scored] = {}
     for some in _batches(hypotheses):
-        reduced = reduce_scene(scene, some, found, parts=True)
+        reduced = reduce_residuals(residuals, some, found, parts=True)
         null = null_log_likelihood(reduced)
         leading: dict[int, tuple[int, float, Maximum | None]] = {}
         for index, h in enumerate(some):
@@ -124,8 +126,8 @@ def _judged(
 ) -> tuple[float, Maximum | None]:
     """Score a hypothesis on all axes and on each alone, and keep the better: minus infinity if hopeless.
 
-    Set 4 `index` of the reduced scene is the whole hypothesis, the next three are its axes. All axes cost a
-    factor of two in trials, one axis one of six. No axis gains more than all of them. The second is the
+    Set 4 `index` of the reduced residuals is the whole hypothesis, the next three are its axes. All axes cost
+    a factor of two in trials, one axis one of six. No axis gains more than all of them. The second is the
     maximum of the whole, where it was needed.
     """
     best, whole, of_whole = -np.inf, 4 * index, None
@@ -154,18 +156,22 @@ def degrees(reduced: Sequence[Reduced], h: int) -> float:
     return sum(v.dof for v in reduced if v.own(h)[0].trace() > 0.0)
 
 
-def reduce_scene(
-    scene: Scene, hypotheses: Sequence[Hypothesis], found: Sequence[Hypothesis] = (), *, parts: bool = False
+def reduce_residuals(
+    residuals: SensorResiduals,
+    hypotheses: Sequence[Hypothesis],
+    found: Sequence[Hypothesis] = (),
+    *,
+    parts: bool = False,
 ) -> list[Reduced]:
     """Reduce every view for a list of hypotheses; with `parts`, each is followed by its three axes."""
     widths = [h.columns[0].shape[2] for h in hypotheses]
     ends = np.cumsum([0, *widths])
     index = [np.arange(a, b) for a, b in pairwise(ends)]
     reduced = []
-    for i, view in enumerate(scene.views):
+    for i, view in enumerate(residuals.views):
         design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
         extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
-        always = None if scene.shared is None else scene.shared.columns[i] * scene.shared.sizes
+        always = None if residuals.shared is None else residuals.shared.columns[i] * residuals.shared.sizes
         reduced.append(reduce_view(view, design, index, _nonzero(extra), always))
     if parts:
         axes = [[np.flatnonzero(h.axis_of == a) for a in range(3)] for h in hypotheses]
@@ -190,16 +196,18 @@ def visible(reduced: Sequence[Reduced], h: int) -> int:
     return int((np.linalg.eigvalsh(information[:k, :k] - hidden) > 1.0).sum())
 
 
-def forward(scene: Scene, effects: Sequence[Effect], threshold: float = thresholds.SCORE) -> list[Step]:
+def forward(
+    residuals: SensorResiduals, effects: Sequence[Effect], threshold: float = thresholds.SCORE
+) -> list[Step]:
     """Return the forward steps above the threshold, at most `thresholds.MAX_FINDINGS`; names unweighed."""
     steps: list[Step] = []
     while len(steps) < thresholds.MAX_FINDINGS:
         before = [h for s in steps for h in s.explained]
-        ranked = ranking(scene, effects, before)
+        ranked = ranking(residuals, effects, before)
         if not ranked or ranked[0].score < threshold:
             break
-        step = prefer_named(scene, Step(ranked[0], tuple(ranked[1:])), before)
-        step = refined(scene, prefer_original(prefer_pair(scene, step, before)), before)
+        step = prefer_named(residuals, Step(ranked[0], tuple(ranked[1:])), before)
+        step = refined(residuals, prefer_original(prefer_pair(residuals, step, before)), before)
         steps.append(step)
         effects = [e for e in effects if not _spent(e, step.winner.hypothesis.effect)]
     return steps
@@ -275,11 +283,13 @@ def without_name(step: Step) -> Step:
     return replace(step, winner=replace(step.winner, hypothesis=replace(own, effect=nameless(own.effect))))
 
 
-def ranking(scene: Scene, effects: Sequence[Effect], found: Sequence[Hypothesis] = ()) -> list[Scored]:
+def ranking(
+    residuals: SensorResiduals, effects: Sequence[Effect], found: Sequence[Hypothesis] = ()
+) -> list[Scored]:
     """Return the best hypothesis of every effect with `found` projected out, best first."""
-    empty = reduce_scene(scene, [nothing(scene)], found)
-    hypotheses = [*proposals(scene, effects), *screened(scene, effects, empty, found)]
-    return compete(scene, hypotheses, found)
+    empty = reduce_residuals(residuals, [nothing(residuals)], found)
+    hypotheses = [*proposals(residuals, effects), *screened(residuals, effects, empty, found)]
+    return compete(residuals, hypotheses, found)
 
 
 def _spent(effect: Effect, winner: Effect) -> bool:
@@ -287,7 +297,7 @@ def _spent(effect: Effect, winner: Effect) -> bool:
     return not winner.recurs and effect.name == winner.name != "unknown"
 
 
-def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+def prefer_pair(residuals: SensorResiduals, step: Step, before: Sequence[Hypothesis]) -> Step:
     """Let a named effect win over a nameless one where, with a second name, it explains as much.
 
     Two effects together may look like neither; each of the best few names is tried with the best second,
@@ -300,7 +310,7 @@ def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
     for first in named:
         others = [s.hypothesis.effect for s in named if s is not first]
         effects = [e for e in others if not _spent(e, first.hypothesis.effect)]
-        ranked = ranking(scene, effects, [*before, first.hypothesis])
+        ranked = ranking(residuals, effects, [*before, first.hypothesis])
         together = first.score + ranked[0].score - float(np.log10(len(effects))) if ranked else -np.inf
         if together > best:
             best = together
@@ -308,7 +318,7 @@ def prefer_pair(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
     return chosen
 
 
-def prefer_named(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+def prefer_named(residuals: SensorResiduals, step: Step, before: Sequence[Hypothesis]) -> Step:
     """Let a catalogue effect win over a generic one that is better by less than the margin.
 
     The best few names are judged at the best points of their fine grids: a generic curve has no grid to miss.
@@ -316,7 +326,7 @@ def prefer_named(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step
     if step.winner.hypothesis.effect.name != "unknown":
         return step
     named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
-    fine = sorted((sharpened(scene, s, before) for s in named), key=lambda s: -s.score)
+    fine = sorted((sharpened(residuals, s, before) for s in named), key=lambda s: -s.score)
     others = [*fine, *(s for s in step.others if s not in named)]
     for s in fine:
         if _as_likely_beforehand(step.winner) - _as_likely_beforehand(s) < thresholds.UNKNOWN_MARGIN:
@@ -340,25 +350,25 @@ def _as_likely_beforehand(one: Scored) -> float:
     return one.score + effect.prior_penalty - handicap
 
 
-def sharpened(scene: Scene, one: Scored, before: Sequence[Hypothesis]) -> Scored:
+def sharpened(residuals: SensorResiduals, one: Scored, before: Sequence[Hypothesis]) -> Scored:
     """Return a hypothesis at the best point of its fine grid, as one of so many as its coarse grid has."""
     own = one.hypothesis
-    fine = refined(scene, Step(one, ()), before).winner.hypothesis
+    fine = refined(residuals, Step(one, ()), before).winner.hypothesis
     if fine is own:
         return one
-    tried = own.multiplicity or len(scene.hypotheses(own.effect))
-    again = compete(scene, [replace(fine, multiplicity=tried)], before)
+    tried = own.multiplicity or len(residuals.hypotheses(own.effect))
+    again = compete(residuals, [replace(fine, multiplicity=tried)], before)
     return max([one, *again], key=lambda s: s.score)
 
 
-def refined(scene: Scene, step: Step, before: Sequence[Hypothesis]) -> Step:
+def refined(residuals: SensorResiduals, step: Step, before: Sequence[Hypothesis]) -> Step:
     """Move the winner to the best point of its effect's fine grid."""
     winner = step.winner.hypothesis
-    companions = tuple(scene.companions(winner.effect))
-    candidates = scene.finer(winner)
+    companions = tuple(residuals.companions(winner.effect))
+    candidates = residuals.finer(winner)
     if candidates == [winner]:
         return replace(step, neighbours=companions)
-    reduced = reduce_scene(scene, candidates, before)
+    reduced = reduce_residuals(residuals, candidates, before)
     gains = [highest(reduced, i) for i in range(len(candidates))]
     best = int(np.argmax(gains))
     before_it, after_it = candidates[max(best - 1, 0)], candidates[min(best + 1, len(candidates) - 1)]

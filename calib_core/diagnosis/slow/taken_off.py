@@ -35,10 +35,10 @@ class Known:
         """Return the findings that say what the sensor does at any moment: those with a name of rests."""
         found = []
         for one in stated:
-            hypothesis, scene = one.hypothesis, one.scene
-            if hypothesis is None or scene is None or scene.turns or one.finding.effect == "unknown":
+            hypothesis, residuals = one.hypothesis, one.residuals
+            if hypothesis is None or residuals is None or residuals.turns or one.finding.effect == "unknown":
                 continue
-            effect, moments = hypothesis.effect, scene.moments
+            effect, moments = hypothesis.effect, residuals.moments
             if effect.can_play(moments, hypothesis.grid):
                 sizes = [np.ravel(one.finding.parameters[p.name].value) for p in effect.parameters]
                 found.append(cls(effect, hypothesis.grid, moments, np.concatenate(sizes)))

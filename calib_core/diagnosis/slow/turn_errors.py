@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import (
     GYRO_SCALE_SIZE,
@@ -92,10 +92,10 @@ def missed_turns(made: Aligned, bins: Bins, gravity: float, found: Sequence[Hypo
     if len(made.turns) < LEAST_TURNS or bins.rate is None or bins.rate_variance is None:
         return None
     view = turn_view(made, bins.rate_rounding)
-    scene = Scene("gyro", bins, (view,), gravity, None, tuple(made.turns))
+    residuals = SensorResiduals("gyro", bins, (view,), gravity, None, tuple(made.turns))
     free = [GYRO_SCALE_SIZE * view.baseline[0]]
     free += [] if view.absorbed is None else [view.absorbed]
-    free += [h.sizes * scene.hypothesis(h.effect, h.grid).columns[0][0] for h in found]
+    free += [h.sizes * residuals.hypothesis(h.effect, h.grid).columns[0][0] for h in found]
     k = len(made.turns)
     return Missed(
         view.y[0].reshape(k, 2),
@@ -144,13 +144,13 @@ def turn_errors(
     that speaks most for it: a single one may be anything.
     """
     missed = missed_turns(made, bins, gravity, found)
-    if missed is None or not Seen(missed.nats()).stated:
+    if missed is None or not DirectEvidence(missed.nats()).stated:
         return None
     # More may be allowed for: it takes long to find, and most recordings are sound without it.
     between = np.array([_between_samples(t) for t in made.turns])
     missed = replace(missed, variance=missed.variance + between)
     size = (missed.y**2).sum(axis=1) / (missed.variance + (SOUND[1] * missed.angle) ** 2)
-    seen = Seen(missed.without(int(np.argmax(size))).nats())
+    seen = DirectEvidence(missed.without(int(np.argmax(size))).nats())
     part, low, high = missed.part()
     say = (
         f"Over {missed.angle.size} turns gravity is not where the gyroscope takes it, by {100.0 * part:.2g} %"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -17,8 +17,8 @@ KNOWN = 2.0
 """Degrees of freedom with which the errors of turns are known beforehand."""
 
 
-def turn_scene(made: Aligned, bins: Bins, gravity: float) -> Scene | None:
-    """Return the turns as a scene of one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
+def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals | None:
+    """Return the turns' residuals, one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
     for _ in range(2):
         if len(made.turns) < LEAST_TURNS:
             return None
@@ -28,7 +28,7 @@ def turn_scene(made: Aligned, bins: Bins, gravity: float) -> Scene | None:
     if len(made.turns) < LEAST_TURNS:
         return None
     view = turn_view(made, bins.rate_rounding)
-    return Scene("gyro", bins, (view,), gravity, None, tuple(made.turns))
+    return SensorResiduals("gyro", bins, (view,), gravity, None, tuple(made.turns))
 
 
 def turn_view(made: Aligned, rounding: Array | None) -> View:

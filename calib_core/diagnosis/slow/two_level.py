@@ -23,7 +23,7 @@ SHARES = (0.4, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class TwoLevelPath:
     """Changes (n,) of level, +1, 0 or -1, at each of n borders; switches: how many.
 
     log_trials: log of the number of courses that it was chosen from.
@@ -34,7 +34,7 @@ class Course:
     log_trials: float
 
 
-def grown(gram: Array, target: Array, power: float, first: int, last: int) -> Course | None:
+def grown(gram: Array, target: Array, power: float, first: int, last: int) -> TwoLevelPath | None:
     """Return the likeliest course about one stretch between borders `first` and `last`.
 
     gram: (n, 3, n, 3) and target (n, 3): inner products of steps at the borders, on each axis, with each
@@ -58,7 +58,7 @@ def grown(gram: Array, target: Array, power: float, first: int, last: int) -> Co
     switches = int(np.abs(changes[:n]).sum())
     if not FEWEST <= switches <= MOST:
         return None
-    return Course(changes[:n], switches, float(prices[switches]))
+    return TwoLevelPath(changes[:n], switches, float(prices[switches]))
 
 
 def _prices(n: int) -> Array:

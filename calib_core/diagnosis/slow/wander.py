@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import LEAST_PROBABILITY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
@@ -121,41 +121,47 @@ def wanders_of(views: Sequence[Reduced]) -> list[Wander]:
     return out
 
 
-def wander(scene: Scene, reduced: Sequence[Reduced]) -> list[Finding]:
-    """Find wander of a bias beyond what Android allows. reduced: the scene, what was found taken out."""
-    limit = thresholds.RANDOM_WALK[scene.sensor]
-    seen = [w for v, w in zip(scene.views, wanders_of(reduced), strict=True) if v.name != "tangent"]
+def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Finding]:
+    """Find wander of a bias beyond what Android allows. reduced: the residuals, what was found taken out."""
+    limit = thresholds.RANDOM_WALK[residuals.sensor]
+    seen = [w for v, w in zip(residuals.views, wanders_of(reduced), strict=True) if v.name != "tangent"]
     by_axis = seen if len(seen) == 3 else seen * 3
     axes = [a for a, w in zip(AXES, by_axis, strict=True) if w.walks_beyond(limit) >= thresholds.CERTAIN]
     if axes:
-        return [_random_walk(scene, by_axis, axes, limit)]
+        return [_random_walk(residuals, by_axis, axes, limit)]
     axes = [a for a, w in zip(AXES, by_axis, strict=True) if w.beyond(limit) >= thresholds.CERTAIN_NAMELESS]
-    return [_without_name(scene, by_axis, axes, limit)] if axes else []
+    return [_without_name(residuals, by_axis, axes, limit)] if axes else []
 
 
-def _random_walk(scene: Scene, by_axis: Sequence[Wander], axes: list[str], limit: float) -> Finding:
+def _random_walk(
+    residuals: SensorResiduals, by_axis: Sequence[Wander], axes: list[str], limit: float
+) -> Finding:
     numbers = [w.density_of_walk() for w in by_axis]
-    unit = f"{UNIT[scene.sensor]}/sqrt(s)"
+    unit = f"{UNIT[residuals.sensor]}/sqrt(s)"
     worst = max(n[0] for n in numbers)
-    say = f"The {NAME[scene.sensor]}'s bias random walk is {worst:.2g} {unit}; update the bias often."
-    where = Where(*scene.bins.span, SLOW_BAND, "nothing")
+    say = f"The {NAME[residuals.sensor]}'s bias random walk is {worst:.2g} {unit}; update the bias often."
+    where = Where(*residuals.bins.span, SLOW_BAND, "nothing")
     evidence = Evidence(log_bayes_factor=max(w.log_bayes_factor_of_walk(limit) for w in by_axis))
-    name = f"{scene.sensor}_bias_random_walk"
-    return Finding(name, scene.sensor, axes, where, {"density": _parameter(numbers, unit)}, evidence, [], say)
+    name = f"{residuals.sensor}_bias_random_walk"
+    return Finding(
+        name, residuals.sensor, axes, where, {"density": _parameter(numbers, unit)}, evidence, [], say
+    )
 
 
-def _without_name(scene: Scene, by_axis: Sequence[Wander], axes: list[str], limit: float) -> Finding:
+def _without_name(
+    residuals: SensorResiduals, by_axis: Sequence[Wander], axes: list[str], limit: float
+) -> Finding:
     numbers = [w.size_of_all() for w in by_axis]
-    unit = UNIT[scene.sensor]
+    unit = UNIT[residuals.sensor]
     worst = max(n[0] for n in numbers)
     say = (
-        f"The {NAME[scene.sensor]}'s bias changes by {worst:.2g} {unit} (one standard deviation) in the"
+        f"The {NAME[residuals.sensor]}'s bias changes by {worst:.2g} {unit} (one standard deviation) in the"
         " course of the recording, more than a phone's may; no driver that was recorded explains it."
     )
-    where = Where(*scene.bins.span, SLOW_BAND, NO_DRIVER)
+    where = Where(*residuals.bins.span, SLOW_BAND, NO_DRIVER)
     evidence = Evidence(log_bayes_factor=max(w.log_bayes_factor(limit) for w in by_axis))
     return Finding(
-        "unknown", scene.sensor, axes, where, {"size": _parameter(numbers, unit)}, evidence, [], say
+        "unknown", residuals.sensor, axes, where, {"size": _parameter(numbers, unit)}, evidence, [], say
     )
 
 

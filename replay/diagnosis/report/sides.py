@@ -16,7 +16,7 @@ from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.diagnosis.report.curves import Curve, curves_of
 
 PAIR = "pair_"
-"""How the names of residuals against another sensor begin (`comparison.pair.scenes`)."""
+"""How the names of residuals against another sensor begin (`comparison.pair.pair_residuals`)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,13 +59,13 @@ class Side:
 
     def _pair(self, sensor: str) -> tuple[View, ...]:
         """Return a sensor's residuals against another one of the same motion; none where there is none."""
-        own = [s.views for s in self.exam.scenes if s.sensor == sensor]
+        own = [s.views for s in self.exam.sensors if s.sensor == sensor]
         return next((views for views in own if _of_pair(views)), ())
 
 
 def in_pair(exam: Examination) -> bool:
     """Whether what was examined are the readings of one sensor less those of another, moved or not."""
-    return any(_of_pair(scene.views) for scene in exam.scenes)
+    return any(_of_pair(residuals.views) for residuals in exam.sensors)
 
 
 def _of_pair(views: Sequence[View]) -> bool:

@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
@@ -35,8 +35,8 @@ def test_the_earth_turns_and_the_gyroscope_is_sound(seed: int) -> None:
         rows = day.rest == r
         up = day.up[rows].mean(axis=0)
         rate[rows] = EARTH * (np.sin(latitude) * up + np.cos(latitude) * across(rng, up))
-    scene = scenes(nulls.bins_of(rng, day, QUIET, gyro_error=rate), nulls.G)[1]
-    assert slow_findings(scene) == []
+    residuals = by_sensor(nulls.bins_of(rng, day, QUIET, gyro_error=rate), nulls.G)[1]
+    assert slow_findings(residuals) == []
 
 
 @pytest.mark.slow
@@ -52,8 +52,8 @@ def test_a_bed_that_gives_way_under_the_phone_is_no_fault(tau: float) -> None:
         rows = np.flatnonzero(day.rest == r)
         age = day.t[rows] - day.t[rows[0]]
         tilt[rows] = 0.004 * np.exp(-age / tau)[:, None] * across(rng, day.up[rows[0]])
-    scene = scenes(nulls.bins_of(rng, day, QUIET, accel_error=nulls.G * tilt), nulls.G)[0]
-    assert slow_findings(scene) == []
+    residuals = by_sensor(nulls.bins_of(rng, day, QUIET, accel_error=nulls.G * tilt), nulls.G)[0]
+    assert slow_findings(residuals) == []
 
 
 def car() -> tuple[Bins, np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.inference.noise_models import families
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
 from stillcal.replay.formats.rest_table import read_rest_table
 
@@ -20,6 +20,6 @@ def test_a_published_table_is_diagnosed(number: int) -> None:
     answer = diagnose_rests(rests, "table")
     names = {f["effect"] for f in answer["findings"]}
     assert names <= {"accel_nonlinearity", "unknown"}
-    (norm, *_) = scenes(rest_bins(rests), 9.80665)[0].views
+    (norm, *_) = by_sensor(rest_bins(rests), 9.80665)[0].views
     for family in families(norm):
         assert np.isfinite(family.rotation).all() and (family.diagonals > 0.0).all()

@@ -12,10 +12,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -352,9 +352,9 @@ def _undone(one: Recording, settings: dict[str, float]) -> Recording:
 def _slope(one: Recording, others: list[Recording]) -> tuple[Array, Array]:
     """Return the slope of the gyroscope's bias in temperature (3,) and its standard errors, rad/s/K."""
     true = mean_readings(one, others)
-    _, scenes = pair_scenes(less(one, true), true, [], MISMATCH)
-    wanted = scenes[1].hypothesis(BiasTemperature("gyro"), {})
-    fit = fit_hypothesis(reduce_scene(scenes[1], [wanted]), 0)
+    _, sensors = pair_residuals(less(one, true), true, [], MISMATCH)
+    wanted = sensors[1].hypothesis(BiasTemperature("gyro"), {})
+    fit = fit_hypothesis(reduce_residuals(sensors[1], [wanted]), 0)
     return fit.beta * wanted.sizes, np.sqrt(fit.covariance.diagonal()) * wanted.sizes
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pair
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_own_of_simulation
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
@@ -41,14 +41,14 @@ def judged(recorded: Steps, simulated: Steps) -> list[Discrepancy]:
     real, sim = jumping(1, recorded), jumping(2, simulated)
     assert sim.gyroscope is not None
     true = Readings(sim.accelerometer, sim.gyroscope)
-    bins, scenes = pair_scenes(less(real, true), true, [], 0.0)
-    scene = next(s for s in scenes if s.sensor == "gyro")
+    bins, sensors = pair_residuals(less(real, true), true, [], 0.0)
+    residuals = next(s for s in sensors if s.sensor == "gyro")
     stated = []
     for at in sorted({*recorded, *simulated}):
         where = Where(at, bins.span[1], (0.0, 0.05), "time")
         finding = Finding("gyro_bias_step", "gyro", ["x", "z"], where, {}, Evidence(50.0), [], "")
-        stated.append(Stated(finding, scene.measured(Step("gyro"), {"t_start": at}), scene))
-    exam = replace(examined(real, search=False), bins=bins, scenes=scenes, turns=None, statements=stated)
+        stated.append(Stated(finding, residuals.measured(Step("gyro"), {"t_start": at}), residuals))
+    exam = replace(examined(real, search=False), bins=bins, sensors=sensors, turns=None, statements=stated)
     found = with_own_of_simulation(compare_in_pair(exam), exam, examined(sim, search=False))
     steps = [d for d in found.discrepancies if d.effect == "gyro_bias_step"]
     return sorted(steps, key=lambda d: d.where.t_start)

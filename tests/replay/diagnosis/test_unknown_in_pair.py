@@ -10,13 +10,13 @@ import pytest
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_owner_of_unknown
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.effects.unknown import Unknown
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of
@@ -41,25 +41,25 @@ def swinging(seed: int, times: float) -> Recording:
     return turned(seed, flaw)
 
 
-def found_in_pair(recorded: float, simulated: float) -> tuple[Comparison, Scene, Hypothesis]:
+def found_in_pair(recorded: float, simulated: float) -> tuple[Comparison, SensorResiduals, Hypothesis]:
     """Return what is said where a course between two levels was found, 0 and 1, in the gyroscope."""
     real, sim = swinging(1, recorded), swinging(2, simulated)
     assert sim.gyroscope is not None
     true = Readings(sim.accelerometer, sim.gyroscope)
-    bins, scenes = pair_scenes(less(real, true), true, [], 0.0)
-    scene = next(s for s in scenes if s.sensor == "gyro")
+    bins, sensors = pair_residuals(less(real, true), true, [], 0.0)
+    residuals = next(s for s in sensors if s.sensor == "gyro")
     course = Unknown("gyro", "two levels in time", Linear("amplitude", "rad/s", 3, 0.02))
     response = on_axes(0.5 + 0.5 * level(bins.t))
-    hypothesis = Hypothesis(course, {}, scene.columns_of(response))
+    hypothesis = Hypothesis(course, {}, residuals.columns_of(response))
     where = Where(*bins.span, (0.0, 0.05), "two levels in time")
     size = Parameter((2.0 * (recorded - simulated) * SWING).tolist(), None, "rad/s")
     said = Finding("unknown", "gyro", ["x"], where, {"amplitude": size}, Evidence(50.0), [], "")
     exams = [examined(one, search=False) for one in (real, sim)]
     exam = replace(
-        exams[0], bins=bins, scenes=scenes, turns=None, statements=[Stated(said, hypothesis, scene)]
+        exams[0], bins=bins, sensors=sensors, turns=None, statements=[Stated(said, hypothesis, residuals)]
     )
     found = compare_in_pair(exam, Alignment(true, true, [], [], frozenset()))
-    return with_owner_of_unknown(found, exam, *exams), scene, hypothesis
+    return with_owner_of_unknown(found, exam, *exams), residuals, hypothesis
 
 
 @pytest.mark.parametrize(
@@ -90,6 +90,6 @@ def test_a_course_between_two_levels_about_nothing_is_no_bias() -> None:
 
 def test_the_bins_in_which_a_course_jumps_are_no_motion() -> None:
     """Their means lie between both levels, in motion as at rest."""
-    _, scene, hypothesis = found_in_pair(0.0, 1.0)
-    left = left_in_motion(scene, [hypothesis])
-    assert left is not None and left.finding(scene) is None
+    _, residuals, hypothesis = found_in_pair(0.0, 1.0)
+    left = left_in_motion(residuals, [hypothesis])
+    assert left is not None and left.finding(residuals) is None

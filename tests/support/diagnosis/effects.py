@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.replay.blind_test.world.day import World
 from stillcal.replay.blind_test.world.forward_model import played
 from tests.support.diagnosis import nulls
@@ -180,11 +180,11 @@ def possible(kind: str, sensor: str, day: nulls.Day) -> bool:
     return True
 
 
-def d_prime(scene: Scene, average: Array, error: Array, wander: nulls.Wander) -> float:
-    """Return d' of an error (seconds, 3) over a scene's views, baseline projected out, true covariance."""
+def d_prime(residuals: SensorResiduals, average: Array, error: Array, wander: nulls.Wander) -> float:
+    """Return d' of an error (seconds, 3) over a sensor's views, baseline projected out, true covariance."""
     means, bias = average @ error, wander.covariance(average)
     total = 0.0
-    for view in scene.views:
+    for view in residuals.views:
         slow = bias[np.ix_(view.bins, view.bins)]
         for b in range(len(view.y)):
             across = view.project[b]

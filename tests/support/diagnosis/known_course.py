@@ -21,8 +21,8 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.inference.likelihood import highest, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
-from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_scene, score
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
+from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_residuals, score
 from stillcal.replay.blind_test.keys import Key, key_of
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.formats.trace import read_all
@@ -31,50 +31,52 @@ Array = np.ndarray
 SIZES = (6.0, 7.0, 8.0, 10.0, 12.0, 16.0, 20.0)
 
 
-def courses(folder: Path) -> Iterator[tuple[Scene, Hypothesis, Effect, float]]:
-    """Yield the scene of every slow effect that is alone on its sensor, its true course, and its d'."""
+def courses(folder: Path) -> Iterator[tuple[SensorResiduals, Hypothesis, Effect, float]]:
+    """Yield the residuals of every slow effect that is alone on its sensor, its true course, and its d'."""
     for path in sorted((folder / "keys").glob("*.key")):
         key = key_of(path.read_bytes().partition(b"\n")[2], path.name)
         if key.kind not in ("single", "pair") or key.exam is None:
             continue
         sensors = [e.sensor for e in key.effects]
-        scenes = None
+        sensors = None
         for truth in key.effects:
             if sensors.count(truth.sensor) > 1 or not truth.d_prime:
                 continue
-            if scenes is None:
+            if sensors is None:
                 recording = read_all(folder / "recordings" / f"{path.stem}.csv")
-                scenes = examined(recording, search=False).scenes
-            for scene in scenes:
-                named = [e for e in effects_in(scene) if e.name == truth.effect and e.sensor == truth.sensor]
+                sensors = examined(recording, search=False).sensors
+            for residuals in sensors:
+                named = [
+                    e for e in effects_in(residuals) if e.name == truth.effect and e.sensor == truth.sensor
+                ]
                 if named and truth.effect != "accel_nonlinearity":  # not proportional to its own size
-                    yield scene, course(scene, key), named[0], truth.d_prime
+                    yield residuals, course(residuals, key), named[0], truth.d_prime
 
 
-def course(scene: Scene, key: Key) -> Hypothesis:
+def course(residuals: SensorResiduals, key: Key) -> Hypothesis:
     """Return what was truly added to a sensor as one hypothesis of one size."""
     assert key.exam is not None
-    added = np.asarray(getattr(key.exam, scene.sensor))
-    curve = np.stack([np.interp(scene.bins.t, key.exam.t, a) for a in added.T], axis=1)
-    one = Parameters("course", scene.sensor, (Linear("size", "1", 1, 3.0),))
-    return Hypothesis(one, {}, scene.columns_of(curve[:, :, None]))
+    added = np.asarray(getattr(key.exam, residuals.sensor))
+    curve = np.stack([np.interp(residuals.bins.t, key.exam.t, a) for a in added.T], axis=1)
+    one = Parameters("course", residuals.sensor, (Linear("size", "1", 1, 3.0),))
+    return Hypothesis(one, {}, residuals.columns_of(curve[:, :, None]))
 
 
-def resized(scene: Scene, true: Hypothesis, factor: float) -> Scene:
-    """Return a scene in which the true course is `factor` times as large."""
+def resized(residuals: SensorResiduals, true: Hypothesis, factor: float) -> SensorResiduals:
+    """Return a sensor's residuals in which the true course is `factor` times as large."""
     changed = [
         replace(v, y=v.y + (factor - 1.0) * c[:, :, 0])
-        for v, c in zip(scene.views, true.columns, strict=True)
+        for v, c in zip(residuals.views, true.columns, strict=True)
     ]
-    for new, old in zip(changed, scene.views, strict=True):
+    for new, old in zip(changed, residuals.views, strict=True):
         new.memo.update(old.memo)
-    return replace(scene, views=tuple(changed))
+    return replace(residuals, views=tuple(changed))
 
 
-def passes(gain: float, dof: float, scene: Scene, effect: Effect) -> bool:
+def passes(gain: float, dof: float, residuals: SensorResiduals, effect: Effect) -> bool:
     """Whether the effect, on its axes and its own grid, would score enough with this gain."""
-    many = effect.dictionary(scene.moments)
-    tried = 2.0 * max(1 if many is None else many.multiplicity, len(scene.hypotheses(effect)))
+    many = effect.dictionary(residuals.moments)
+    tried = 2.0 * max(1 if many is None else many.multiplicity, len(residuals.hypotheses(effect)))
     return score(gain, effect.parameters[0].count, dof, tried) - effect.prior_penalty >= thresholds.SCORE
 
 
@@ -106,12 +108,14 @@ def main() -> None:
     folder = parser.parse_args().folder
     gains: dict[float, list[float]] = {d: [] for d in SIZES}
     seen: dict[float, list[tuple[bool, bool]]] = {d: [] for d in SIZES}
-    for scene, true, effect, d_prime in courses(folder):
+    for residuals, true, effect, d_prime in courses(folder):
         for d in SIZES:
-            reduced = reduce_scene(resized(scene, true, d / d_prime), [true])
+            reduced = reduce_residuals(resized(residuals, true, d / d_prime), [true])
             gain, dof = highest(reduced, 0) - null_log_likelihood(reduced), degrees(reduced, 0)
             gains[d].append(gain)
-            seen[d].append((passes(gain, dof, scene, effect), passes(d * d / 2.0, dof, scene, effect)))
+            seen[d].append(
+                (passes(gain, dof, residuals, effect), passes(d * d / 2.0, dof, residuals, effect))
+            )
     for d in SIZES:
         unknown, known = np.mean(seen[d], axis=0)
         print(

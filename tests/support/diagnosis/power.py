@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import effects, nulls
 from tests.support.diagnosis.effects import Put
@@ -63,8 +63,8 @@ def put_in(
         return None
     put = effects.drawn(rng, day, kind, sensor)
     plain = nulls.bins_of(np.random.default_rng(1), day, {s: nulls.Wander() for s in wander})
-    scene = next(s for s in scenes(plain, nulls.G) if s.sensor == sensor)
-    size = d / max(effects.d_prime(scene, nulls.cut(day)[2], put.error, wander[sensor]), 1e-30)
+    residuals = next(s for s in by_sensor(plain, nulls.G) if s.sensor == sensor)
+    size = d / max(effects.d_prime(residuals, nulls.cut(day)[2], put.error, wander[sensor]), 1e-30)
     if np.ptp(put.error * size, axis=0).max() > effects.LARGEST[sensor]:
         return None
     put.error, put.value = put.error * size, put.value * size
@@ -92,7 +92,7 @@ def attempt(seed: list[int], kinds: Iterable[str], count: int, left_out: bool) -
     bins = nulls.bins_of(rng, day, wander, **kind, thermometer=thermometer, charger=charger)
     began = time.perf_counter()
     without = {p.name for p in real if p.name} if left_out else set()
-    said = [f for s in scenes(bins, nulls.G) for f in slow_findings(s, without)]
+    said = [f for s in by_sensor(bins, nulls.G) for f in slow_findings(s, without)]
     trial = Trial(family, real, sizes, said, time.perf_counter() - began, left_out)
     trial.marks = [mark(p, said, left_out) for p in real]
     return trial

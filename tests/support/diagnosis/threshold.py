@@ -14,7 +14,7 @@ import time
 import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.search import ranking
 from tests.support.diagnosis import nulls
 
@@ -25,12 +25,12 @@ def largest(rng: np.random.Generator, family: str) -> dict[str, tuple[float, str
     thermometer, charger = bool(rng.random() < 0.6), bool(rng.random() < 0.7)
     bins = nulls.bins_of(rng, day, family, thermometer=thermometer, charger=charger)
     best = {}
-    for scene in scenes(bins, nulls.G):
-        ranked = ranking(scene, effects_of(scene.sensor))
+    for residuals in by_sensor(bins, nulls.G):
+        ranked = ranking(residuals, effects_of(residuals.sensor))
         if ranked:
             top = ranked[0]
             note = f"{top.hypothesis.effect.name}/{top.hypothesis.effect.follows} rests={day.rest.max() + 1}"
-            best[scene.sensor] = (top.score, note)
+            best[residuals.sensor] = (top.score, note)
     return best
 
 

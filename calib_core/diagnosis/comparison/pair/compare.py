@@ -29,8 +29,8 @@ def compare_in_pair(exam: Examination, motion: Alignment | None = None) -> Compa
     """
     found = compare_with_ideal(exam, samples=motion is None)
     found = _only_sought(found, motion, gyroscope=exam.gyroscope is not None)
-    measured = [measured_in_pair(exam, scene) for scene in exam.scenes]
-    constants = [q for of_scene, _ in measured for q in of_scene]
+    measured = [measured_in_pair(exam, residuals) for residuals in exam.sensors]
+    constants = [q for of_one, _ in measured for q in of_one]
     constants += [] if motion is None else motion.quantities
     by_key = {(q.effect, q.sensor): subtract(q, _none_of(q)) for q in constants}
     by_finding = {id(f): subtract(q, _none_of(q)) for _, effects in measured for f, q in effects}
@@ -83,8 +83,8 @@ def without_found(
     direct: what is stated besides; motion: what the corrected simulation differs by in motion.
     """
     names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
-    scenes = [taken_out(exam, scene, names) for scene in exam.scenes]
-    after = examined_in_pair(exam, exam.bins, scenes, direct)
+    sensors = [taken_out(exam, residuals, names) for residuals in exam.sensors]
+    after = examined_in_pair(exam, exam.bins, sensors, direct)
     return compare_in_pair(after, motion)
 
 

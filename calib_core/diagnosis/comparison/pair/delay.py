@@ -13,7 +13,12 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.effect import on_axes
-from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding, of_vector
+from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
+    Measured,
+    direct_finding,
+    of_vector,
+)
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.axis_delays import SPLIT, AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
@@ -186,6 +191,6 @@ def delays_between(force: Late, rate: Late, samples: Samples, unsure: float = 0.
         where,
         {"delay": delay.parameter("s")},
         statement=f"The gyroscope is {abs(delay.value) * 1e3:.2f} ms further {side} the accelerometer.",
-        seen=Seen(nats, clearer.equations.held_out(GAINS)),
+        seen=DirectEvidence(nats, clearer.equations.held_out(GAINS)),
     )
     return [said] if said is not None else []

@@ -18,84 +18,86 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     effect_quantity,
     rows_of,
 )
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import GAIN_SIZES
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import GAIN_SIZES
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene, together
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 
 
 def measured_in_pair(
-    exam: Examination, scene: Scene
+    exam: Examination, residuals: SensorResiduals
 ) -> tuple[list[Quantity], list[tuple[Finding, Quantity]]]:
-    """Return bias and scale, and every named effect found in a scene with its finding.
+    """Return bias and scale, and every named effect found in a sensor's residuals with its finding.
 
     They are of the one sensor less the other. An effect may come twice: each step has its own moment.
     """
-    every, value, covariance = _fitted(exam, scene)
-    where = Where(*scene.bins.span, SLOW_BAND, "nothing")
-    reference = scene.moments.history.reference_c
+    every, value, covariance = _fitted(exam, residuals)
+    where = Where(*residuals.bins.span, SLOW_BAND, "nothing")
+    reference = residuals.moments.history.reference_c
     at = {} if reference is None else {"temperature_c": reference}
     # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
-    warm = at if scene.sensor == "accel" else {}
+    warm = at if residuals.sensor == "accel" else {}
     constants = [
-        _bias(scene.sensor, value, covariance, where, at),
-        _scale(scene.sensor, value, covariance, where, warm),
+        _bias(residuals.sensor, value, covariance, where, at),
+        _scale(residuals.sensor, value, covariance, where, warm),
     ]
     out = []
-    findings = [s.finding for s in _found(exam, scene)]
+    findings = [s.finding for s in _found(exam, residuals)]
     for finding, hypothesis, rows in zip(findings, every[1:], rows_of(every)[1:], strict=True):
         if hypothesis.effect.name != "unknown":
-            one = effect_quantity(scene.bins.span, hypothesis, value[rows], covariance[np.ix_(rows, rows)])
+            one = effect_quantity(
+                residuals.bins.span, hypothesis, value[rows], covariance[np.ix_(rows, rows)]
+            )
             warm = at if one.effect.endswith("_temperature") else {}
             out.append((finding, replace(one, reference={**one.reference, **warm})))
     return constants, out
 
 
-def _found(exam: Examination, scene: Scene) -> list[Stated]:
-    """Return what was found in a scene and has columns there."""
-    return [s for s in exam.statements if s.scene is scene and s.hypothesis is not None]
+def _found(exam: Examination, residuals: SensorResiduals) -> list[Stated]:
+    """Return what was found in a sensor's residuals and has columns there."""
+    return [s for s in exam.statements if s.residuals is residuals and s.hypothesis is not None]
 
 
-def taken_out(exam: Examination, scene: Scene, names: set[tuple[str, str]]) -> Scene:
-    """Return a scene without the effects `names` and, where they are among them, the constants."""
-    every, value, _ = _fitted(exam, scene)
-    views = list(scene.views)
+def taken_out(exam: Examination, residuals: SensorResiduals, names: set[tuple[str, str]]) -> SensorResiduals:
+    """Return residuals without the effects `names`, without the constants where they are among them."""
+    every, value, _ = _fitted(exam, residuals)
+    views = list(residuals.views)
     for hypothesis, rows in zip(every, rows_of(every), strict=True):
         size = value[rows].copy()
         if hypothesis is every[0]:
-            size[:3] *= (f"{scene.sensor}_bias", scene.sensor) in names
-            size[3:] *= (f"{scene.sensor}_scale", scene.sensor) in names
-        elif (hypothesis.effect.name, scene.sensor) not in names:
+            size[:3] *= (f"{residuals.sensor}_bias", residuals.sensor) in names
+            size[3:] *= (f"{residuals.sensor}_scale", residuals.sensor) in names
+        elif (hypothesis.effect.name, residuals.sensor) not in names:
             continue
         views = [
             replace(v, y=v.y - columns @ size) for v, columns in zip(views, hypothesis.columns, strict=True)
         ]
-    return replace(scene, views=tuple(views))
+    return replace(residuals, views=tuple(views))
 
 
-def _fitted(exam: Examination, scene: Scene) -> tuple[list[Hypothesis], Array, Array]:
+def _fitted(exam: Examination, residuals: SensorResiduals) -> tuple[list[Hypothesis], Array, Array]:
     """Fit constants and everything found; return hypotheses, values (k,) and covariance, in their units."""
-    bare = tuple(replace(v, baseline=v.baseline[:, :, :0], absorbed=None) for v in scene.views)
-    free = replace(scene, views=bare)
-    own = [s.hypothesis for s in _found(exam, scene) if s.hypothesis is not None]
-    every = [_constants(scene), *own]
-    whole = together(scene, every)
-    fit = fit_hypothesis(reduce_scene(free, [whole]), 0)
+    bare = tuple(replace(v, baseline=v.baseline[:, :, :0], absorbed=None) for v in residuals.views)
+    free = replace(residuals, views=bare)
+    own = [s.hypothesis for s in _found(exam, residuals) if s.hypothesis is not None]
+    every = [_constants(residuals), *own]
+    whole = together(residuals, every)
+    fit = fit_hypothesis(reduce_residuals(free, [whole]), 0)
     value, covariance = fit.beta * whole.sizes, fit.covariance * np.outer(whole.sizes, whole.sizes)
-    return every, *_at_mean(scene, every, value, covariance)
+    return every, *_at_mean(residuals, every, value, covariance)
 
 
 def _at_mean(
-    scene: Scene, every: Sequence[Hypothesis], value: Array, covariance: Array
+    residuals: SensorResiduals, every: Sequence[Hypothesis], value: Array, covariance: Array
 ) -> tuple[Array, Array]:
     """Return numbers (k,) and covariance (k, k), the bias at the mean of courses without a name.
 
@@ -103,10 +105,10 @@ def _at_mean(
     is that of the whole recording's mean, and the course's own variance is part of its error.
     """
     turned, spread = np.eye(value.size), np.zeros(value.size)
-    weights = scene.bins.duration / scene.bins.duration.sum()
+    weights = residuals.bins.duration / residuals.bins.duration.sum()
     for hypothesis, rows in zip(every, rows_of(every), strict=True):
         effect = hypothesis.effect
-        if effect.name != "unknown" or effect.parameters[0].unit != UNIT[scene.sensor]:
+        if effect.name != "unknown" or effect.parameters[0].unit != UNIT[residuals.sensor]:
             continue
         for axis, (columns,) in enumerate(hypothesis.columns):
             turned[axis, rows] = weights @ columns
@@ -115,15 +117,17 @@ def _at_mean(
     return turned @ value, turned @ covariance @ turned.T + np.diag(spread)
 
 
-def _constants(scene: Scene) -> Hypothesis:
+def _constants(residuals: SensorResiduals) -> Hypothesis:
     """Return bias and what the sensor reads of the other's input, nine numbers row by row."""
-    true = scene.bins.force if scene.sensor == "accel" else scene.bins.rate
-    assert true is not None, "a scene of the gyroscope has rates"
-    n = len(scene.bins)
+    true = residuals.bins.force if residuals.sensor == "accel" else residuals.bins.rate
+    assert true is not None, "a gyroscope has rates"
+    n = len(residuals.bins)
     gain = (np.eye(3)[None, :, :, None] * true[:, None, None, :]).reshape(n, 3, 9)
     response = np.concatenate([on_axes(np.ones(n)), gain], axis=2)
-    parameters = (BIAS[scene.sensor], *(Linear("gain", "1", 1, float(s)) for s in GAIN_SIZES.ravel()))
-    return Hypothesis(Parameters("constants", scene.sensor, parameters), {}, scene.columns_of(response))
+    parameters = (BIAS[residuals.sensor], *(Linear("gain", "1", 1, float(s)) for s in GAIN_SIZES.ravel()))
+    return Hypothesis(
+        Parameters("constants", residuals.sensor, parameters), {}, residuals.columns_of(response)
+    )
 
 
 def _bias(sensor: str, value: Array, covariance: Array, where: Where, at: dict[str, float]) -> Quantity:

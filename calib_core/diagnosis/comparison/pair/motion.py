@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import ALL_AXES
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log_likelihood
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, sized
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 STRENGTHS = 10.0 ** np.arange(-1.0, 9.0)
 """Excess variances that are tried, as parts of the bins' median white variance, all equally likely: from what
@@ -47,64 +47,64 @@ class Motion:
         one = np.log((1.0 - ALL_AXES) / 3.0) + self.log_bayes_factors
         return log_sum(np.append(one, np.log(ALL_AXES) + self.log_bayes_factors.sum()))
 
-    def allowed(self, scene: Scene) -> Scene:
-        """Return a scene whose bins in motion have this variance besides."""
-        return with_excess(scene, self.variance)
+    def allowed(self, residuals: SensorResiduals) -> SensorResiduals:
+        """Return residuals whose bins in motion have this variance besides."""
+        return with_excess(residuals, self.variance)
 
-    def finding(self, scene: Scene) -> Finding | None:
+    def finding(self, residuals: SensorResiduals) -> Finding | None:
         """Return what is left in motion as something unknown; None where chance leaves as much."""
         return direct_finding(
             "unknown",
-            scene.sensor,
+            residuals.sensor,
             [int(a) for a in np.flatnonzero(self.variance > 0.0)],
-            Where(*scene.bins.span, SLOW_BAND, "motion"),
-            sized({"rms": (np.sqrt(self.variance).tolist(), UNIT[scene.sensor])}),
-            statement=only_unknown(f"({NAME[scene.sensor]})", "motion"),
-            seen=Seen(self.log_bayes_factor),
+            Where(*residuals.bins.span, SLOW_BAND, "motion"),
+            sized({"rms": (np.sqrt(self.variance).tolist(), UNIT[residuals.sensor])}),
+            statement=only_unknown(f"({NAME[residuals.sensor]})", "motion"),
+            seen=DirectEvidence(self.log_bayes_factor),
         )
 
 
-def with_excess(scene: Scene, variance: Array) -> Scene:
-    """Return a scene whose bins in motion have variance (3,) besides, axis by axis; the same one for none."""
+def with_excess(residuals: SensorResiduals, variance: Array) -> SensorResiduals:
+    """Return residuals whose moving bins have variance (3,) besides, axis by axis; the same ones for none."""
     if not variance.any():
-        return scene
-    views = [replace(v, excess=float(x)) for v, x in zip(scene.views, variance, strict=True)]
-    return replace(scene, views=tuple(views))
+        return residuals
+    views = [replace(v, excess=float(x)) for v, x in zip(residuals.views, variance, strict=True)]
+    return replace(residuals, views=tuple(views))
 
 
-def left_in_motion(scene: Scene, found: Sequence[Hypothesis] = ()) -> Motion | None:
+def left_in_motion(residuals: SensorResiduals, found: Sequence[Hypothesis] = ()) -> Motion | None:
     """Return the excess of the bins that move, `found` projected out; None where it is not judged.
 
     An axis has one where it is likelier than none; it is then the likeliest.
     """
-    moving = scene.views[0].moving
+    moving = residuals.views[0].moving
     if moving is None or not moving.any():
         return None
-    scene = _without_jumps(scene, found)
-    unit = np.array([float(np.median(v.variance)) for v in scene.views])
-    none = _log_likelihood(scene, np.zeros(3), found)
-    coarse = _coarse(scene, unit, found)
+    residuals = _without_jumps(residuals, found)
+    unit = np.array([float(np.median(v.variance)) for v in residuals.views])
+    none = _log_likelihood(residuals, np.zeros(3), found)
+    coarse = _coarse(residuals, unit, found)
     evidence = np.array([log_sum(axis) for axis in coarse.T]) - np.log(STRENGTHS.size) - none
     about = STRENGTHS[coarse.argmax(axis=0)]
     if not (evidence > 0.0).any():
         return Motion(np.zeros(3), evidence)
     tried = about * np.append(1.0, FINER)[:, None]
-    fine = np.array([coarse.max(axis=0), *(_log_likelihood(scene, s * unit, found) for s in tried[1:])])
+    fine = np.array([coarse.max(axis=0), *(_log_likelihood(residuals, s * unit, found) for s in tried[1:])])
     best = tried[fine.argmax(axis=0), np.arange(3)] * unit
     return Motion(np.where(evidence > 0.0, best, 0.0), evidence)
 
 
-def _without_jumps(scene: Scene, found: Sequence[Hypothesis]) -> Scene:
-    """Return a scene in which the bins beside a jump of what was found are free.
+def _without_jumps(residuals: SensorResiduals, found: Sequence[Hypothesis]) -> SensorResiduals:
+    """Return a sensor's residuals in which the bins beside a jump of what was found are free.
 
     The jump is somewhere in one of the two, whose mean then lies between both levels: that is no motion.
     """
     free = np.unique(np.concatenate([_beside_jumps(h) for h in found])) if found else np.zeros(0, np.int64)
     if not free.size:
-        return scene
-    alone = np.eye(len(scene.bins))[None, :, free]
-    views = [replace(v, baseline=np.concatenate([v.baseline, alone], axis=2)) for v in scene.views]
-    return replace(scene, views=tuple(views))
+        return residuals
+    alone = np.eye(len(residuals.bins))[None, :, free]
+    views = [replace(v, baseline=np.concatenate([v.baseline, alone], axis=2)) for v in residuals.views]
+    return replace(residuals, views=tuple(views))
 
 
 def _beside_jumps(hypothesis: Hypothesis) -> NDArray[np.int64]:
@@ -114,20 +114,22 @@ def _beside_jumps(hypothesis: Hypothesis) -> NDArray[np.int64]:
     return np.concatenate([jumps, jumps + 1]) if 2 * jumps.size < len(columns) else jumps[:0]
 
 
-def _coarse(scene: Scene, unit: Array, found: Sequence[Hypothesis]) -> Array:
+def _coarse(residuals: SensorResiduals, unit: Array, found: Sequence[Hypothesis]) -> Array:
     """Return the log likelihood (k, 3) of each axis at the strengths, as far as they are not hopeless.
 
     Beyond the likeliest strength the likelihood only falls: the bins that move count for less and less.
     """
     tried: list[Array] = []
     for strength in STRENGTHS:
-        tried.append(_log_likelihood(scene, strength * unit, found))
+        tried.append(_log_likelihood(residuals, strength * unit, found))
         if (tried[-1] < np.max(tried, axis=0) - NEGLIGIBLE).all():
             break
     return np.array(tried)
 
 
-def _log_likelihood(scene: Scene, variance: Array, found: Sequence[Hypothesis]) -> Array:
+def _log_likelihood(residuals: SensorResiduals, variance: Array, found: Sequence[Hypothesis]) -> Array:
     """Return the log likelihood (3,) of each axis with an excess variance (3,) of the bins that move."""
-    trial = with_excess(scene, variance)
-    return np.array([null_log_likelihood([view]) for view in reduce_scene(trial, [nothing(trial)], found)])
+    trial = with_excess(residuals, variance)
+    return np.array(
+        [null_log_likelihood([view]) for view in reduce_residuals(trial, [nothing(trial)], found)]
+    )

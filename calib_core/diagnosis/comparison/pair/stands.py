@@ -28,10 +28,10 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
@@ -92,28 +92,28 @@ def _owned(one: Discrepancy, said: Stated | None, alone: Array) -> Discrepancy:
 
 def _shown_at_rest(said: Stated, beside: Sequence[Stated], alone: Examination) -> float:
     """Return how much the rests of one recording by itself speak for what a pair shows, nats; at least 0."""
-    scene = next((s for s in alone.scenes if s.sensor == said.finding.sensor), None)
-    if said.hypothesis is None or said.scene is None or scene is None:
+    residuals = next((s for s in alone.sensors if s.sensor == said.finding.sensor), None)
+    if said.hypothesis is None or said.residuals is None or residuals is None:
         return 0.0
-    if len(scene.bins) < thresholds.LEAST_BINS:
+    if len(residuals.bins) < thresholds.LEAST_BINS:
         return 0.0
-    own = _read_at(scene, said.hypothesis, said.scene)
+    own = _read_at(residuals, said.hypothesis, said.residuals)
     if not any(columns.any() for columns in own.columns):
         return 0.0
     others = [
-        _read_at(scene, s.hypothesis, s.scene)
+        _read_at(residuals, s.hypothesis, s.residuals)
         for s in beside
-        if s.hypothesis is not None and s.scene is said.scene
+        if s.hypothesis is not None and s.residuals is said.residuals
     ]
-    return max(log_bayes_factor(reduce_scene(scene, [own], others, parts=True), 1, 1.0), 0.0)
+    return max(log_bayes_factor(reduce_residuals(residuals, [own], others, parts=True), 1, 1.0), 0.0)
 
 
-def _read_at(scene: Scene, hypothesis: Hypothesis, pair: Scene) -> Hypothesis:
+def _read_at(residuals: SensorResiduals, hypothesis: Hypothesis, pair: SensorResiduals) -> Hypothesis:
     """Return a hypothesis of a pair's bins as the same course in one recording's rests, at their moments."""
-    t, known = scene.bins.t, pair.bins.t
+    t, known = residuals.bins.t, pair.bins.t
     per_axis = [np.array([np.interp(t, known, c) for c in columns[0].T]) for columns in hypothesis.columns]
     response = np.moveaxis(np.stack(per_axis, axis=2), 0, 2)
-    return replace(hypothesis, columns=scene.columns_of(response, hypothesis.effect.blind))
+    return replace(hypothesis, columns=residuals.columns_of(response, hypothesis.effect.blind))
 
 
 def _turned_about(said: Stated) -> Finding:
@@ -132,10 +132,10 @@ def _negative(one: Parameter) -> Parameter:
 def _at_moments(exam: Examination) -> list[Wanted]:
     """Return the effects that came at a moment, as steps do: a simulation of the motion may have the same."""
     return [
-        Wanted(kind_of(s.scene), s.hypothesis, s.hypothesis.grid)
+        Wanted(kind_of(s.residuals), s.hypothesis, s.hypothesis.grid)
         for s in exam.statements
         if s.hypothesis is not None
-        and s.scene is not None
+        and s.residuals is not None
         and s.hypothesis.effect.recurs
         and s.hypothesis.effect.name != "unknown"
     ]

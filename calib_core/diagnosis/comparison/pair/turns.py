@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of, nameless
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding, of_chance
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance
 from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
@@ -83,7 +83,7 @@ class InTurns:
     effect: Effect
     value: Array
     covariance: Array
-    seen: Seen
+    seen: DirectEvidence
 
     @property
     def gain(self) -> float:
@@ -235,7 +235,7 @@ class _Turns:
         x, own = value[-k:], covariance[-k:, -k:]
         within = own + np.diag((ALIKE * sizes) ** 2)
         held_out = sums.held_out(np.arange(value.size) < value.size - k)
-        return InTurns(effect, x, own, Seen(of_chance(sums.log_chance(x, within)), held_out))
+        return InTurns(effect, x, own, DirectEvidence(of_chance(sums.log_chance(x, within)), held_out))
 
     def _equations(self, effects: Sequence[Effect]) -> Regression:
         """Return the normal equations of gains, one delay and effects."""

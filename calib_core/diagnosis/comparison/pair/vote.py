@@ -17,24 +17,26 @@ from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.wander import wander
 
 
-def shares(stated: Stated, beside: Sequence[Stated], scenes: Sequence[Scene], alone: Array) -> Array:
+def shares(
+    stated: Stated, beside: Sequence[Stated], sensors: Sequence[SensorResiduals], alone: Array
+) -> Array:
     """Return how likely an effect is each sensor's (m,), if it is one's.
 
-    stated: from the first of `scenes`, of one kind of sensor: each sensor's readings less the mean of the
+    stated: from the first of `sensors`, of one kind of sensor: each sensor's readings less the mean of the
     others', the recording's first; none of two sensors. beside: what was found in it besides. alone: (m,)
     nats, what each sensor shows of it by itself.
     """
     others = [s.hypothesis for s in beside if s is not stated and s.hypothesis is not None]
     nats = alone.copy()
-    if scenes:
-        nats = nats + np.array([_speaks_for(stated, scene, others) for scene in scenes])
+    if sensors:
+        nats = nats + np.array([_speaks_for(stated, residuals, others) for residuals in sensors])
     return shares_alone(nats)
 
 
@@ -60,12 +62,12 @@ def nats_of(finding: Finding | None) -> float:
     return 0.0 if finding is None else finding.evidence.log_bayes_factor
 
 
-def _speaks_for(stated: Stated, scene: Scene, others: Sequence[Hypothesis]) -> float:
+def _speaks_for(stated: Stated, residuals: SensorResiduals, others: Sequence[Hypothesis]) -> float:
     """Return the log Bayes factor, nats, of the same effect in another sensor's difference."""
     if stated.hypothesis is not None:
-        return log_bayes_factor(reduce_scene(scene, [stated.hypothesis], others, parts=True), 1, 1.0)
-    left = reduce_scene(scene, [nothing(scene)], others)
-    return max((f.evidence.log_bayes_factor for f in wander(scene, left)), default=0.0)
+        return log_bayes_factor(reduce_residuals(residuals, [stated.hypothesis], others, parts=True), 1, 1.0)
+    left = reduce_residuals(residuals, [nothing(residuals)], others)
+    return max((f.evidence.log_bayes_factor for f in wander(residuals, left)), default=0.0)
 
 
 def of_share(nats: float, share: float, comparisons: int) -> float:

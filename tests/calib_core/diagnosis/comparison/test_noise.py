@@ -44,6 +44,6 @@ def test_slow_noise_is_the_allan_deviation_of_averages_over_100_s() -> None:
     rates = np.fft.irfft(spectrum, axis=0)[:n] + 1e-4 * rng.normal(size=(n, 3))
     t, still = np.arange(n) / 5.0, np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(n, 3))
     exam = examine(Samples(Sensor.ACCELEROMETER, t, still), Samples(Sensor.GYROSCOPE, t, rates), search=False)
-    slow = slow_noise(exam, next(s for s in exam.scenes if s.sensor == "gyro"))
+    slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
     assert slow is not None
     assert np.exp(slow.value).mean() == pytest.approx(floor, rel=0.25)

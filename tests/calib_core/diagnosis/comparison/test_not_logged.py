@@ -49,7 +49,7 @@ def noisier(recorded: float, simulated: float) -> Difference:
 def test_what_a_side_without_a_thermometer_shows_may_be_the_other_sides_slope() -> None:
     warm, blind = lying(thermometer=True), lying(thermometer=False)
     effect = BiasTemperature("accel", 1)
-    had = [Wanted("accel", warm.scenes[0].hypothesis(effect, {}), {})]
+    had = [Wanted("accel", warm.sensors[0].hypothesis(effect, {}), {})]
     missing = not_logged.not_logged((warm, blind), (had, []), NAMES)
     assert missing[0] == [] and [m.reason for m in missing[1]] == [
         "sim.csv: no temperature, so it may be the change of the accelerometer's bias with temperature that"

@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.comparison.sensitivity import sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.model.records import Claims
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.search import forward
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -43,7 +43,7 @@ def rests(seed: int) -> Bins:
 
 def examined(bins: Bins) -> Examination:
     none = Samples.checked(Sensor.ACCELEROMETER, np.empty(0), np.empty((0, 3)))
-    return Examination(none, None, Claims(), bins, [], scenes(bins, G)[1:], None, None, [])
+    return Examination(none, None, Claims(), bins, [], by_sensor(bins, G)[1:], None, None, [])
 
 
 def smallest(bins: Bins) -> float:
@@ -60,8 +60,8 @@ def test_an_effect_of_the_stated_size_is_found_nine_times_in_ten(share: float, l
         assert bins.temperature is not None and bins.rate is not None
         warm = bins.temperature - bins.temperature.mean()
         added = np.outer(warm, share * smallest(bins) * np.eye(3)[seed % 3])
-        scene = examined(replace(bins, rate=bins.rate + added)).scenes[0]
-        found += bool(forward(scene, [BiasTemperature("gyro")]))
+        residuals = examined(replace(bins, rate=bins.rate + added)).sensors[0]
+        found += bool(forward(residuals, [BiasTemperature("gyro")]))
     assert least <= found <= most
 
 

@@ -28,12 +28,14 @@ def recorded(seconds: float, noise: float, seed: int) -> Examination:
 def with_step(exam: Examination, size: float) -> Examination:
     """Return a recording that was found to have a step of the gyroscope's x bias, rad/s."""
     effect = next(e for e in effects_of("gyro") if e.name == "gyro_bias_step")
-    scene = next(s for s in exam.scenes if s.sensor == "gyro")
-    own = replace(scene.hypothesis(effect, {"t_start": float(np.median(scene.bins.t))}), multiplicity=100.0)
+    residuals = next(s for s in exam.sensors if s.sensor == "gyro")
+    own = replace(
+        residuals.hypothesis(effect, {"t_start": float(np.median(residuals.bins.t))}), multiplicity=100.0
+    )
     step = {"step": Parameter([size, 0.0, 0.0], None, "rad/s")}
     where = Where(150.0, 300.0, SLOW_BAND, "time")
     found = Finding(effect.name, "gyro", ["x"], where, step, Evidence(30.0), [], "")
-    return replace(exam, statements=[Stated(found, own, scene)])
+    return replace(exam, statements=[Stated(found, own, residuals)])
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.direct.dead_zone import beside, dead_zone
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -47,7 +47,7 @@ def test_a_dead_zone_of_a_few_steps_is_found(codes: int) -> None:
 
 def test_the_noise_that_is_left_beside_a_dead_zone_is_not_judged() -> None:
     def finding(effect: str) -> Finding:
-        where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), Seen(99.0)
+        where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), DirectEvidence(99.0)
         made = direct_finding(effect, "gyro", [0], where, {}, statement="", seen=seen)
         assert made is not None
         return made

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.direct.missing_codes import beside, dead_bits
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -52,7 +52,7 @@ def test_what_hardly_moves_shows_no_bit() -> None:
 
 def test_noise_of_an_axis_with_a_dead_bit_is_not_judged() -> None:
     def heavy(axes: list[int]) -> Finding | None:
-        where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), Seen(99.0)
+        where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), DirectEvidence(99.0)
         return direct_finding("noise_heavy_tailed", "accel", axes, where, {}, statement="", seen=seen)
 
     codes = counts(1).astype(int)

@@ -10,7 +10,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.halves import borne_out
-from stillcal.calib_core.diagnosis.model.measurement import Measured, Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, Measured, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.noise import noise_level
@@ -58,7 +58,7 @@ def test_a_spectrum_that_falls_all_over_the_band_is_no_filtered_noise() -> None:
 
 
 def test_a_half_that_speaks_against_the_noise_of_the_whole_takes_it_back() -> None:
-    found = direct_finding("bandwidth", "accel", [0], WHERE, {}, statement="", seen=Seen(99.0))
+    found = direct_finding("bandwidth", "accel", [0], WHERE, {}, statement="", seen=DirectEvidence(99.0))
     assert found is not None
     narrow, flat = {"bandwidth": Measured(-3.5, 0.02)}, {"bandwidth": Measured(-0.69, 0.02)}
     assert borne_out(found, [narrow, narrow], sound_phones(), None)

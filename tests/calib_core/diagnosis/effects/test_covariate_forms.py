@@ -9,10 +9,10 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.moments import first_order
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.findings import statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 from tests.support.diagnosis import nulls
 
 SECONDS, LAG = 3600, 60.0
@@ -40,7 +40,7 @@ def late(values: Array) -> Array:
 
 def test_the_lag_is_that_of_a_first_order_system() -> None:
     values = levels(np.random.default_rng(1))
-    made = first_order(Course(MIDDLES, values), LAG).at(MIDDLES)
+    made = first_order(TimeSeries(MIDDLES, values), LAG).at(MIDDLES)
     assert np.abs(made - late(values)).max() < 2.0 / LAG
     assert made[0] == values[0]
 
@@ -51,9 +51,9 @@ def test_a_bias_is_found_in_the_form_in_which_it_follows_a_column(form: str) -> 
     values = levels(rng)
     error = np.outer(late(values) if form == "late" else values**2, SIZE)
     bins = nulls.bins_of(rng, nulls.schedule(rng), "white", gyro_error=error)
-    scene = scenes(bins, nulls.G, {"load": Course(MIDDLES, values)})[1]
-    effects = [e for e in effects_in(scene) if isinstance(e, CovariateBias)]
-    (stated,) = statements_of(scene, forward(scene, effects))
+    residuals = by_sensor(bins, nulls.G, {"load": TimeSeries(MIDDLES, values)})[1]
+    effects = [e for e in effects_in(residuals) if isinstance(e, CovariateBias)]
+    (stated,) = statements_of(residuals, forward(residuals, effects))
     numbers = stated.finding.parameters
     assert stated.finding.effect == "gyro_bias_load"
     sizes = numbers["slope" if form == "late" else "quadratic"]

@@ -8,7 +8,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.curves import heating
 from stillcal.calib_core.diagnosis.model.moments import moments_of
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import nulls
@@ -34,7 +34,7 @@ def heated(largest: float) -> tuple[Bins, nulls.Day]:
 def test_two_milli_g_by_the_rate_of_heating_follow_it() -> None:
     """By the rate between bins they followed a period in time: the thermometer's noise is a tenth of it."""
     bins, _ = heated(0.02)
-    found = slow_findings(scenes(bins, nulls.G)[0])
+    found = slow_findings(by_sensor(bins, nulls.G)[0])
     assert [(f.effect, f.where.driver) for f in found] == [("unknown", "rate of heating")]
 
 

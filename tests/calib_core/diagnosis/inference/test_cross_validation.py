@@ -14,27 +14,29 @@ from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, held_out
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.maths.rms import rms
 from tests.support.diagnosis import nulls
 
 RAMP = Parameters("accel_bias_drift", "accel", (Linear("rate", "m/s^3", 3, 0.01),))
 
 
-def hour() -> tuple[Scene, Hypothesis]:
+def hour() -> tuple[SensorResiduals, Hypothesis]:
     """Return an accelerometer's hour that drifts by 10 mm/s^2, and that drift."""
     rng = np.random.default_rng(4)
     day = nulls.schedule(rng)
     drift = np.outer(np.linspace(0.0, 0.01, day.t.size), [1.0, -1.0, 0.5])
-    scene = scenes(nulls.bins_of(rng, day, "white", drift), nulls.G)[0]
-    return scene, Hypothesis(RAMP, {}, scene.columns_of(on_axes(scene.bins.t / scene.bins.span[1])))
+    residuals = by_sensor(nulls.bins_of(rng, day, "white", drift), nulls.G)[0]
+    return residuals, Hypothesis(
+        RAMP, {}, residuals.columns_of(on_axes(residuals.bins.t / residuals.bins.span[1]))
+    )
 
 
-def shapes(scene: Scene) -> list[list[Array]]:
+def shapes(residuals: SensorResiduals) -> list[list[Array]]:
     """Return, for each view, white noise and what is absorbed."""
     made = []
-    for view in scene.views:
+    for view in residuals.views:
         shape = np.diag(view.variance)
         if view.absorbed is not None:
             shape = shape + view.absorbed @ view.absorbed.T
@@ -42,15 +44,15 @@ def shapes(scene: Scene) -> list[list[Array]]:
     return made
 
 
-def only_the_norm() -> tuple[Scene, Hypothesis, NDArray[np.int64]]:
+def only_the_norm() -> tuple[SensorResiduals, Hypothesis, NDArray[np.int64]]:
     """Return the hour with nothing but its norm view, without a baseline, its drift, and each bin's fold."""
-    scene, ramp = hour()
-    view = scene.views[0]
+    residuals, ramp = hour()
+    view = residuals.views[0]
     view = replace(view, baseline=np.zeros((1, view.y.size, 0)), absorbed=None)
-    start, end = scene.bins.span
+    start, end = residuals.bins.span
     at = (view.t - start) / (end - start)
     fold = np.minimum((at * 4 * FOLDS).astype(int), 4 * FOLDS - 1) % FOLDS
-    return replace(scene, views=(view,)), ramp, fold
+    return replace(residuals, views=(view,)), ramp, fold
 
 
 def test_the_log_score_is_that_of_all_less_that_of_the_others() -> None:
@@ -93,18 +95,18 @@ def test_left_out_bins_are_compared_with_what_the_others_make_expected() -> None
 
 
 def test_an_effect_that_is_there_leaves_little_more_than_noise() -> None:
-    scene, ramp = hour()
-    noise = float(np.sqrt(np.mean(scene.views[0].variance)))
-    with_it, without = (held_out(scene, shapes(scene), [each]) for each in ([ramp], []))
+    residuals, ramp = hour()
+    noise = float(np.sqrt(np.mean(residuals.views[0].variance)))
+    with_it, without = (held_out(residuals, shapes(residuals), [each]) for each in ([ramp], []))
     assert with_it.log_score > without.log_score + 20.0
     assert with_it.rmse < 2.0 * noise
     assert with_it.rmse < 0.5 * without.rmse
 
 
 def test_every_fold_chooses_its_own_shape_and_grid_point() -> None:
-    scene, ramp = hour()
+    residuals, ramp = hour()
     away = replace(ramp, columns=tuple(np.roll(c, 7, axis=1) for c in ramp.columns))
-    good = shapes(scene)
+    good = shapes(residuals)
     wrong = [
         [
             one[0]
@@ -114,9 +116,9 @@ def test_every_fold_chooses_its_own_shape_and_grid_point() -> None:
         ]
         for one in good
     ]
-    alone = held_out(scene, good, [[ramp]])
-    assert held_out(scene, wrong, [[away], [ramp]]).log_score == pytest.approx(alone.log_score, abs=1e-6)
-    assert held_out(scene, good, [[away]]).log_score < alone.log_score - 3.0
+    alone = held_out(residuals, good, [[ramp]])
+    assert held_out(residuals, wrong, [[away], [ramp]]).log_score == pytest.approx(alone.log_score, abs=1e-6)
+    assert held_out(residuals, good, [[away]]).log_score < alone.log_score - 3.0
 
 
 def test_where_the_moment_of_a_step_is_left_out_itself_no_moment_is_chosen() -> None:
@@ -124,9 +126,13 @@ def test_where_the_moment_of_a_step_is_left_out_itself_no_moment_is_chosen() -> 
     rng, at = np.random.default_rng(4), 1890.0
     day = nulls.schedule(rng)
     jump = np.outer(day.t > at, [0.05, -0.05, 0.05])
-    scene = scenes(nulls.bins_of(rng, day, "white", jump), nulls.G)[0]
+    residuals = by_sensor(nulls.bins_of(rng, day, "white", jump), nulls.G)[0]
     step = Step("accel")
-    moments = [scene.hypothesis(step, {"t_start": at + away}) for away in (-120.0, -60.0, 0.0, 60.0, 120.0)]
-    alone, all_five = (held_out(scene, shapes(scene), c) for c in ([[moments[2]]], [[m] for m in moments]))
-    assert held_out(scene, shapes(scene), [[moments[0]]]).log_score < alone.log_score - 30.0
+    moments = [
+        residuals.hypothesis(step, {"t_start": at + away}) for away in (-120.0, -60.0, 0.0, 60.0, 120.0)
+    ]
+    alone, all_five = (
+        held_out(residuals, shapes(residuals), c) for c in ([[moments[2]]], [[m] for m in moments])
+    )
+    assert held_out(residuals, shapes(residuals), [[moments[0]]]).log_score < alone.log_score - 30.0
     assert alone.log_score - 1.1 * np.log(5.0) < all_five.log_score < alone.log_score + 1e-6

@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.diagnosis.inference.likelihood import reduce_view
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from tests.support.diagnosis import nulls
 
 
@@ -18,7 +18,7 @@ from tests.support.diagnosis import nulls
 def views() -> list[View]:
     rng = np.random.default_rng(8)
     bins = nulls.bins_of(rng, nulls.schedule(rng), "flicker")
-    return [view for scene in scenes(bins, nulls.G) for view in scene.views]
+    return [view for residuals in by_sensor(bins, nulls.G) for view in residuals.views]
 
 
 def by_residual_projection(

@@ -12,9 +12,9 @@ from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.effects.by_force import GSensitivity
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model.earth import RATE, ground
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.nulls import G
@@ -88,9 +88,9 @@ def test_a_g_sensitivity_as_large_as_the_earths_rate_shows_where_headings_are_kn
     bins = still_bins(accelerometer, gyroscope)
     evidence = []
     for samples in (gyroscope, None):
-        scene = scenes(bins, G, gyroscope=samples)[1]
-        (own,) = scene.hypotheses(GSensitivity())
-        evidence.append(log_bayes_factor(reduce_scene(scene, [own], parts=True), 1, 1))
+        residuals = by_sensor(bins, G, gyroscope=samples)[1]
+        (own,) = residuals.hypotheses(GSensitivity())
+        evidence.append(log_bayes_factor(reduce_residuals(residuals, [own], parts=True), 1, 1))
     known, unknown = evidence
     assert (known > 7.0) == sure
     assert not sure or known > unknown + 5.0

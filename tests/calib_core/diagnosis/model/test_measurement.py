@@ -7,9 +7,9 @@ import pytest
 from scipy import integrate, stats
 
 from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
     HeldOut,
     Measured,
-    Seen,
     direct_finding,
     of_chance,
     of_counts,
@@ -76,16 +76,18 @@ def test_chance_fit_and_prior_are_as_they_say() -> None:
 
 
 def test_what_held_out_parts_contradict_is_not_stated() -> None:
-    def stated(seen: Seen) -> bool:
+    def stated(seen: DirectEvidence) -> bool:
         return direct_finding("bandwidth", "gyro", [0], WHERE, {}, statement="Said.", seen=seen) is not None
 
-    assert stated(Seen(50.0)) and stated(Seen(50.0, HeldOut(3.0, 2.0, 1.0)))
-    assert not stated(Seen(50.0, HeldOut(-3.0, 1.0, 2.0))), "a gain of -3 nats"
-    assert not stated(Seen(5.0)), "one of 40 checks is expected to be as sure"
+    assert stated(DirectEvidence(50.0)) and stated(DirectEvidence(50.0, HeldOut(3.0, 2.0, 1.0)))
+    assert not stated(DirectEvidence(50.0, HeldOut(-3.0, 1.0, 2.0))), "a gain of -3 nats"
+    assert not stated(DirectEvidence(5.0)), "one of 40 checks is expected to be as sure"
 
 
 def test_evidence_has_only_what_was_computed() -> None:
-    counted = direct_finding("x", "gyro", [], WHERE, {}, statement="Said.", seen=Seen(50.0, None, "(Rare.)"))
+    counted = direct_finding(
+        "x", "gyro", [], WHERE, {}, statement="Said.", seen=DirectEvidence(50.0, None, "(Rare.)")
+    )
     assert counted is not None and counted.statement == "Said. (Rare.)"
     assert counted.evidence.heldout_log_score_gain is None and counted.evidence.folds == 0
     assert counted.evidence.log_bayes_factor == 50.0

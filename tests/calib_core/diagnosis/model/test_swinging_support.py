@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.rates import tilt_rate
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.turning_support import turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
@@ -24,7 +24,7 @@ def moored(seed: int, family: str = "white") -> Bins:
 
 
 def test_a_boat_whose_heading_swings_raises_no_alarm() -> None:
-    assert slow_findings(scenes(moored(3), nulls.G)[1]) == []
+    assert slow_findings(by_sensor(moored(3), nulls.G)[1]) == []
 
 
 def test_a_turn_about_gravity_is_told_from_a_bias_that_is_another_in_every_rest() -> None:

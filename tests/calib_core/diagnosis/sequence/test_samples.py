@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.diagnose import diagnose
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
@@ -178,7 +178,7 @@ def test_batches_that_all_run_backwards_are_found_though_each_still_misses_the_n
 
 def finding(effect: str, driver: str, sensor: str = "gyro") -> Finding:
     where = Where(0.0, 1.0, (0.0, 1.0), driver)
-    made = direct_finding(effect, sensor, [0], where, {}, statement="", seen=Seen(99.0))
+    made = direct_finding(effect, sensor, [0], where, {}, statement="", seen=DirectEvidence(99.0))
     assert made is not None
     return made
 

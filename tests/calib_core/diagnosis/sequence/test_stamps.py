@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.model.measurement import Seen, direct_finding
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.sequence.stamps import gone_on, judged
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -23,7 +23,7 @@ def swinging(t: np.ndarray, stamps: np.ndarray) -> Samples:
 
 def named(effect: str) -> Finding:
     where = Where(0.0, 100.0, (0.0, 25.0), "time stamps")
-    found = direct_finding(effect, "timing", [], where, {}, statement="", seen=Seen(50.0))
+    found = direct_finding(effect, "timing", [], where, {}, statement="", seen=DirectEvidence(50.0))
     assert found is not None
     return found
 

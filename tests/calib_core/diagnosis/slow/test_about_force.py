@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
@@ -32,9 +32,9 @@ def rests(quadratic: float) -> Bins:
     return nulls.bins_of(rng, day, quiet, accel_error=error)
 
 
-def force_of(bins: Bins) -> Scene:
-    """Return the accelerometer's scene about its nonlinearity."""
-    return about_nonlinearity(scenes(bins, nulls.G))[0]
+def force_of(bins: Bins) -> SensorResiduals:
+    """Return the accelerometer's residuals about its nonlinearity."""
+    return about_nonlinearity(by_sensor(bins, nulls.G))[0]
 
 
 @pytest.mark.parametrize("quadratic", [3e-3, 1e-2])
@@ -47,7 +47,7 @@ def test_a_square_of_a_good_part_of_the_force_has_its_name_and_its_size(quadrati
 
 
 def test_a_linear_accelerometer_stays_as_it_is() -> None:
-    made = scenes(rests(0.0), nulls.G)
+    made = by_sensor(rests(0.0), nulls.G)
     assert about_nonlinearity(made)[0] is made[0] and about_nonlinearity(made)[1] is made[1]
 
 
@@ -68,11 +68,11 @@ def warming(size: float) -> Bins:
 
 def test_a_bias_that_changes_much_leaves_nothing_else_about_the_point_found() -> None:
     """Linear about the mean bias, a slope of 3 % of gravity in all was a warm-up."""
-    _, (found,) = searched(scenes(warming(4.0), nulls.G)[0])
+    _, (found,) = searched(by_sensor(warming(4.0), nulls.G)[0])
     assert found.finding.effect == "accel_bias_temperature"
     np.testing.assert_allclose(found.finding.parameters["slope"].value, 4.0 * SLOPE, rtol=0.01)
 
 
 def test_a_steady_accelerometer_is_searched_once() -> None:
-    made = scenes(warming(0.0), nulls.G)[0]
+    made = by_sensor(warming(0.0), nulls.G)[0]
     assert searched(made)[0] is made

@@ -9,10 +9,10 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER, jumps
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
-from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_scene
+from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_residuals
 from tests.support.diagnosis import nulls
 
 SIZE = np.array([6e-4, 6e-4, 6e-4])
@@ -35,7 +35,7 @@ def by_rest(rng: np.random.Generator, day: nulls.Day, size: np.ndarray) -> np.nd
 def found(seed: int, family: str, size: np.ndarray, slope: float = 0.0) -> list[Finding]:
     rng, day = short_rests(seed)
     error = by_rest(rng, day, size) + slope * (day.temperature - day.temperature.mean())[:, None]
-    return slow_findings(scenes(nulls.bins_of(rng, day, family, gyro_error=error), nulls.G)[1])
+    return slow_findings(by_sensor(nulls.bins_of(rng, day, family, gyro_error=error), nulls.G)[1])
 
 
 def test_jumps_are_found_as_large_as_they_are() -> None:
@@ -58,8 +58,11 @@ def test_the_earth_and_all_wander_are_no_jumps() -> None:
     for family in nulls.FAMILIES:
         for seed in range(3):
             rng, day = short_rests(10 + seed)
-            for scene in scenes(nulls.bins_of(rng, day, family), nulls.G):
-                assert jumps(scene, [], reduce_scene(scene, [nothing(scene)])) is None, (family, seed)
+            for residuals in by_sensor(nulls.bins_of(rng, day, family), nulls.G):
+                assert jumps(residuals, [], reduce_residuals(residuals, [nothing(residuals)])) is None, (
+                    family,
+                    seed,
+                )
 
 
 def test_a_heading_that_is_a_matter_of_attitude_is_no_g_sensitivity(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,5 +77,5 @@ def test_a_heading_that_is_a_matter_of_attitude_is_no_g_sensitivity(monkeypatch:
     entries = [e for e in effects_of("gyro") if e.name == "gyro_g_sensitivity"]
     for seed in range(6):
         rng, day = short_rests(20 + seed)
-        ranked = ranking(scenes(nulls.bins_of(rng, day, "white"), nulls.G)[1], entries)
+        ranked = ranking(by_sensor(nulls.bins_of(rng, day, "white"), nulls.G)[1], entries)
         assert not ranked or ranked[0].score < thresholds.SCORE

@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import (
     Stated,
@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.slow.findings import (
     not_unknown_twice,
     slow_findings,
 )
-from stillcal.calib_core.diagnosis.slow.search import adequate, forward, ranking, reduce_scene, score
+from stillcal.calib_core.diagnosis.slow.search import adequate, forward, ranking, reduce_residuals, score
 from tests.support.diagnosis import nulls
 
 
@@ -57,17 +57,17 @@ def found(
     effect = {k: np.outer(driver[v[0]], v[1]) for k, v in kind.items() if k.endswith("_error")}  # type: ignore[index]
     flags = {k: v for k, v in kind.items() if not k.endswith("_error")}
     bins = nulls.bins_of(rng, day, family, **effect, **flags)
-    return slow_findings(next(s for s in scenes(bins, nulls.G) if s.sensor == sensor))
+    return slow_findings(next(s for s in by_sensor(bins, nulls.G) if s.sensor == sensor))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("family", ["white", "flicker", "gm300", "walk_strong", "mixture"])
 def test_silent_where_nothing_is_wrong(family: str) -> None:
-    """Of days drawn anew, one scene in e^4 = 55 may pass the score; its finding is weighed once more."""
+    """Of days drawn anew, one sensor in e^4 = 55 may pass the score; its finding is weighed once more."""
     rng = np.random.default_rng([11, nulls.FAMILIES.index(family) % 2])
     bins = nulls.bins_of(rng, nulls.schedule(rng, SECONDS), family)
-    for scene in scenes(bins, nulls.G):
-        ranked = ranking(scene, effects_of(scene.sensor))
+    for residuals in by_sensor(bins, nulls.G):
+        ranked = ranking(residuals, effects_of(residuals.sensor))
         assert not ranked or ranked[0].score < thresholds.SCORE
 
 
@@ -152,8 +152,8 @@ def test_shapes_find_the_wander_that_was_put_in() -> None:
 
     def walking(family: str) -> float:
         """Return the gyroscope's walk, a variance rate, as a part of what `walk_strong` has."""
-        scene = scenes(nulls.bins_of(rng, day, family), nulls.G)[1]
-        reduced = reduce_scene(scene, [nothing(scene)])
+        residuals = by_sensor(nulls.bins_of(rng, day, family), nulls.G)[1]
+        reduced = reduce_residuals(residuals, [nothing(residuals)])
         assert np.isfinite(null_log_likelihood(reduced))
         return float(posterior_weights(reduced[0]) @ reduced[0].walk) / (0.05 * nulls.WHITE["gyro"]) ** 2
 
@@ -169,8 +169,8 @@ def test_a_drift_beside_a_walk_is_as_uncertain_as_the_walk_makes_it() -> None:
         rng = np.random.default_rng([5, trial])
         day = nulls.schedule(rng, 1800)
         ramp = (day.t - 900.0)[:, None] * true
-        scene = scenes(nulls.bins_of(rng, day, "walk_strong", gyro_error=ramp), nulls.G)[1]
-        found = estimate(scene, scene.hypotheses(drift)[0], [])
+        residuals = by_sensor(nulls.bins_of(rng, day, "walk_strong", gyro_error=ramp), nulls.G)[1]
+        found = estimate(residuals, residuals.hypotheses(drift)[0], [])
         inside += int((np.abs(found.value - true) < 1.96 * found.sigma).sum())
     assert inside >= 30
 
@@ -209,7 +209,7 @@ def test_a_name_whose_sizes_may_all_be_nothing_is_taken_off() -> None:
     day = nulls.schedule(rng, 1500)
     error = np.zeros((day.t.size, 3))
     error[:, 2] = 0.006 * nulls.G * day.up[:, 2] * (day.t > 700.0)
-    made = slow_findings(scenes(nulls.bins_of(rng, day, "white", accel_error=error), nulls.G)[0])
+    made = slow_findings(by_sensor(nulls.bins_of(rng, day, "white", accel_error=error), nulls.G)[0])
     assert [f.effect for f in made] == ["unknown"]
 
 
@@ -230,8 +230,8 @@ def test_two_steps_of_one_bias_keep_their_name() -> None:
     rng = np.random.default_rng(11)
     day = nulls.schedule(rng, 900)
     error = np.outer(day.t > 250.0, (5e-4, 0.0, 0.0)) + np.outer(day.t > 600.0, (0.0, 6e-4, 0.0))
-    scene = scenes(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1]
-    steps = adequate(forward(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_step"]))
+    residuals = by_sensor(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1]
+    steps = adequate(forward(residuals, [e for e in effects_of("gyro") if e.name == "gyro_bias_step"]))
     both = [s.winner.hypothesis for s in steps]
     assert [h.effect.name for h in both] == ["gyro_bias_step"] * 2
     assert sorted(h.grid["t_start"] for h in both) == pytest.approx([250.0, 600.0], abs=10.0)
@@ -240,9 +240,9 @@ def test_two_steps_of_one_bias_keep_their_name() -> None:
 
 def test_a_second_step_that_may_undo_the_first_takes_the_name_of_both() -> None:
     rng, day = day_of(3)
-    scene = scenes(nulls.bins_of(rng, day, "white"), nulls.G)[1]
+    residuals = by_sensor(nulls.bins_of(rng, day, "white"), nulls.G)[1]
     effect = next(e for e in effects_of("gyro") if e.name == "gyro_bias_step")
-    own = scene.hypothesis(effect, {"t_start": 500.0})
+    own = residuals.hypothesis(effect, {"t_start": 500.0})
 
     def of(*value: float) -> Estimate:
         return Estimate(own, np.array(value), 1e-8 * np.eye(3), {}, 50.0)

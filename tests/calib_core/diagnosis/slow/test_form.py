@@ -12,15 +12,15 @@ from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.effects.timed import Charging, Drift
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat, Warmup
 from stillcal.calib_core.diagnosis.model.effect import Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.moments import first_order
 from stillcal.calib_core.diagnosis.model.records import Departure, Evidence, Finding, Where
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import form
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import findings_of
 from stillcal.calib_core.diagnosis.slow.search import Scored, Step, compete, proposals
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.calib_core.diagnosis.slow.test_off_catalogue import QUIET, SECONDS, short_day
 from tests.support.diagnosis import nulls
@@ -35,7 +35,7 @@ def today() -> nulls.Day:
 
 
 def late(curve: Array, tau: float) -> Array:
-    return first_order(Course(today().t, curve), tau).at(today().t)
+    return first_order(TimeSeries(today().t, curve), tau).at(today().t)
 
 
 def curves(kind: str) -> Array:
@@ -53,29 +53,31 @@ def curves(kind: str) -> Array:
     }[kind]
 
 
-def scene_of(*errors: Array, thermometer: bool = True) -> Scene:
+def scene_of(*errors: Array, thermometer: bool = True) -> SensorResiduals:
     rng, _ = day_of(SEED, seconds=SECONDS)
     error = np.sum(errors, axis=0)
     bins = nulls.bins_of(rng, today(), QUIET, gyro_error=error, thermometer=thermometer)
-    return scenes(bins, nulls.G)[1]
+    return by_sensor(bins, nulls.G)[1]
 
 
 def on_axes(kind: str, sizes: tuple[float, float, float] = (2e-3, 0.0, -1e-3)) -> Array:
     return np.outer(curves(kind), sizes)
 
 
-def steps_of(scene: Scene, *effects: Effect) -> tuple[list[Step], list[Estimate]]:
+def steps_of(residuals: SensorResiduals, *effects: Effect) -> tuple[list[Step], list[Estimate]]:
     """Each effect at its best point, its rivals the others, with the others free beside it."""
     found: list[Scored] = []
     for effect in effects:
-        found += compete(scene, proposals(scene, [effect]), [s.hypothesis for s in found])
+        found += compete(residuals, proposals(residuals, [effect]), [s.hypothesis for s in found])
     steps = [Step(s, tuple(o for o in found if o is not s)) for s in found]
-    return steps, [estimate(scene, s.hypothesis, [o.hypothesis for o in found if o is not s]) for s in found]
+    return steps, [
+        estimate(residuals, s.hypothesis, [o.hypothesis for o in found if o is not s]) for s in found
+    ]
 
 
-def doubted(scene: Scene, *effects: Effect) -> str:
-    steps, estimates = steps_of(scene, *effects)
-    step = form.doubted(scene, steps, estimates, form.departures_of(scene, estimates))
+def doubted(residuals: SensorResiduals, *effects: Effect) -> str:
+    steps, estimates = steps_of(residuals, *effects)
+    step = form.doubted(residuals, steps, estimates, form.departures_of(residuals, estimates))
     return "" if step is None else step.winner.hypothesis.effect.name
 
 
@@ -94,9 +96,9 @@ def doubted(scene: Scene, *effects: Effect) -> str:
 def test_what_follows_a_driver_in_another_form_departs_from_its_name(
     kind: str, effect: Effect, way: str
 ) -> None:
-    scene = scene_of(on_axes(kind))
-    (found,) = steps_of(scene, effect)[1]
-    told = form.stated(form.departure(scene, found, []), found)
+    residuals = scene_of(on_axes(kind))
+    (found,) = steps_of(residuals, effect)[1]
+    told = form.stated(form.departure(residuals, found, []), found)
     assert ("" if told is None else told.way) == way
     if told is not None:
         assert told.probability > 0.95
@@ -113,11 +115,11 @@ def test_a_second_name_may_be_how_the_first_one_departs() -> None:
 @pytest.mark.parametrize(("rival", "name"), [(True, "unknown"), (False, "thermal_latent")])
 def test_where_another_name_comes_as_near_neither_is_told(rival: bool, name: str) -> None:
     """A charger's bias that comes late in part is no heat, which comes late as a whole."""
-    scene = scene_of(on_axes("charging, in part late"), thermometer=False)
+    residuals = scene_of(on_axes("charging, in part late"), thermometer=False)
     heat, charging = (
-        compete(scene, proposals(scene, [e]))[0] for e in (LatentHeat("gyro"), Charging("gyro"))
+        compete(residuals, proposals(residuals, [e]))[0] for e in (LatentHeat("gyro"), Charging("gyro"))
     )
-    (only,) = findings_of(scene, [Step(heat, (charging,) if rival else ())])
+    (only,) = findings_of(residuals, [Step(heat, (charging,) if rival else ())])
     assert only.effect == name
     assert (only.departure is None) == rival
 

@@ -16,9 +16,9 @@ from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, n
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Dictionary
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.findings import findings_of, slow_findings
 from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
 from stillcal.calib_core.diagnosis.slow.search import (
@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.slow.search import (
     prefer_named,
     proposals,
     ranking,
-    reduce_scene,
+    reduce_residuals,
 )
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import effects, nulls
@@ -47,15 +47,15 @@ def short_day(seed: int) -> nulls.Day:
 
 def gyro_of(
     seed: int, error: Array | None, day: nulls.Day | None = None, seconds: int = SECONDS
-) -> tuple[Scene, nulls.Day]:
+) -> tuple[SensorResiduals, nulls.Day]:
     rng, drawn = day_of(seed, seconds=seconds)
     bins = nulls.bins_of(rng, day or drawn, QUIET, gyro_error=error)
-    return scenes(bins, nulls.G)[1], day or drawn
+    return by_sensor(bins, nulls.G)[1], day or drawn
 
 
 def said(seed: int, curve: Array, size: float = 4e-4, without: tuple[str, ...] = ()) -> list[Finding]:
-    scene, _ = gyro_of(seed, np.outer(curve, [size, 0.0, -size / 2]))
-    return slow_findings(scene, without)
+    residuals, _ = gyro_of(seed, np.outer(curve, [size, 0.0, -size / 2]))
+    return slow_findings(residuals, without)
 
 
 def test_a_bias_that_comes_and_goes_is_unknown_with_its_stretch() -> None:
@@ -73,9 +73,9 @@ def test_what_settles_as_no_first_order_system_does_is_no_warmup(
     """A single exponential keeps its name, half-way between two points of the coarse grid."""
     day = short_day(6)
     curve = sum(1.0 - np.exp(-day.t / tau) for tau in taus)
-    scene, _ = gyro_of(6, np.outer(curve, [1e-2, 0.0, -5e-3]))
-    first, *others = compete(scene, proposals(scene, [Warmup("gyro"), Settling("gyro")]))
-    step = prefer_named(scene, Step(first, tuple(others)), [])
+    residuals, _ = gyro_of(6, np.outer(curve, [1e-2, 0.0, -5e-3]))
+    first, *others = compete(residuals, proposals(residuals, [Warmup("gyro"), Settling("gyro")]))
+    step = prefer_named(residuals, Step(first, tuple(others)), [])
     assert first.score > 3.0 * thresholds.SCORE
     assert (step.winner.hypothesis.effect.name == "gyro_warmup") == named
 
@@ -90,9 +90,11 @@ def test_a_gain_that_differs_by_sign_is_no_square_of_the_force(
     day.rest[:] = np.where(day.t % 90.0 < 80.0, day.t // 90.0, -1)
     day.up[:] = nulls.random_attitudes(rng, 41)[day.rest]
     error = size * np.abs(day.up) ** power * [1.0, 0.7, -0.8]
-    scene = scenes(nulls.bins_of(rng, day, QUIET, error), nulls.G)[0]
-    first, *others = compete(scene, proposals(scene, [ForceNonlinearity(2), ForceCurve(), GainBySign()]))
-    step = prefer_named(scene, Step(first, tuple(others)), [])
+    residuals = by_sensor(nulls.bins_of(rng, day, QUIET, error), nulls.G)[0]
+    first, *others = compete(
+        residuals, proposals(residuals, [ForceNonlinearity(2), ForceCurve(), GainBySign()])
+    )
+    step = prefer_named(residuals, Step(first, tuple(others)), [])
     assert first.score > 3.0 * thresholds.SCORE
     assert (step.winner.hypothesis.effect.name == "accel_nonlinearity") == named
 
@@ -107,10 +109,10 @@ def test_a_gain_that_changes_once_is_no_step_of_the_bias(by_force: bool) -> None
     change = 0.02 * nulls.G * day.up if by_force else np.full((600, 3), [0.12, -0.05, 0.08])
     error = change * (day.t >= 333.0)[:, None]
     bins = nulls.bins_of(rng, day, QUIET, error, thermometer=False, charger=False)
-    scene = scenes(bins, nulls.G)[0]
+    residuals = by_sensor(bins, nulls.G)[0]
     every = effects_of("accel")
     rivals = [e for e in every if e.name == "accel_bias_step" or getattr(e, "what", "") == "gain"]
-    first = ranking(scene, rivals)[0]
+    first = ranking(residuals, rivals)[0]
     assert first.score > 3.0 * thresholds.SCORE
     assert (first.hypothesis.effect.name == "unknown") == by_force
 
@@ -149,8 +151,8 @@ def test_a_force_that_follows_the_product_of_the_other_two_is_unknown_and_follow
     day.up[:] = nulls.random_attitudes(rng, 41)[day.rest]
     error = np.zeros((day.t.size, 3))
     error[:, 0] = 0.015 * day.up[:, 1] * day.up[:, 2]
-    scene = scenes(nulls.bins_of(rng, day, "white", error), nulls.G)[0]
-    (found,) = slow_findings(scene)
+    residuals = by_sensor(nulls.bins_of(rng, day, "white", error), nulls.G)[0]
+    (found,) = slow_findings(residuals)
     assert (found.effect, found.where.driver) == ("unknown", "attitude, nonlinearly")
 
 
@@ -170,12 +172,12 @@ def test_a_walk_is_named_only_beyond_what_a_phone_may_have(ratio: float, named: 
     rng, day = day_of(9)
     walk = {s: nulls.Wander(walk=ratio * thresholds.RANDOM_WALK[s]) for s in nulls.WHITE}
     bins = nulls.bins_of(rng, day, walk)
-    for scene in scenes(bins, nulls.G):
-        found = slow_findings(scene)
-        assert [f.effect for f in found] == [f"{scene.sensor}_bias_random_walk"] * named
+    for residuals in by_sensor(bins, nulls.G):
+        found = slow_findings(residuals)
+        assert [f.effect for f in found] == [f"{residuals.sensor}_bias_random_walk"] * named
         if named:
             for low, high in found[0].parameters["density"].ci95:
-                assert low < ratio * thresholds.RANDOM_WALK[scene.sensor] < high
+                assert low < ratio * thresholds.RANDOM_WALK[residuals.sensor] < high
 
 
 def test_wander_does_not_bend_the_baseline() -> None:
@@ -190,11 +192,11 @@ def test_wander_does_not_bend_the_baseline() -> None:
 
 def test_screening_keeps_the_curve_that_was_put_in() -> None:
     day = short_day(6)
-    scene, _ = gyro_of(6, np.outer((day.t > 900) & (day.t < 1500), [4e-4, 0.0, 0.0]))
+    residuals, _ = gyro_of(6, np.outer((day.t > 900) & (day.t < 1500), [4e-4, 0.0, 0.0]))
     effect = next(e for e in effects_of("gyro") if getattr(e, "many", None) is curves.pulses)
-    empty = reduce_scene(scene, [nothing(scene)])
-    kept = screened(scene, [effect], empty, [])
-    reduced = reduce_scene(scene, kept)
+    empty = reduce_residuals(residuals, [nothing(residuals)])
+    kept = screened(residuals, [effect], empty, [])
+    reduced = reduce_residuals(residuals, kept)
     gains = [
         fit_hypothesis(reduced, i).log_likelihood - null_log_likelihood(reduced) for i in range(len(kept))
     ]
@@ -204,14 +206,16 @@ def test_screening_keeps_the_curve_that_was_put_in() -> None:
 
 
 def test_a_pair_is_the_difference_of_its_curves() -> None:
-    scene, _ = gyro_of(6, None)
+    residuals, _ = gyro_of(6, None)
     effect = next(e for e in effects_of("gyro") if getattr(e, "many", None) is curves.pulses)
-    many = curves.pulses(scene.moments)
+    many = curves.pulses(residuals.moments)
     assert many is not None and many.pairs is not None
     a, b = many.pairs[7]
     plain = Dictionary(many.grids[:1], (many.curves[a] - many.curves[b])[None], 1)
     for one, other in zip(
-        hypothesis(effect, scene, many, 7).columns, hypothesis(effect, scene, plain, 0).columns, strict=True
+        hypothesis(effect, residuals, many, 7).columns,
+        hypothesis(effect, residuals, plain, 0).columns,
+        strict=True,
     ):
         assert np.array_equal(one, other)
 
@@ -237,33 +241,33 @@ def test_every_effect_outside_the_catalogue_can_be_drawn() -> None:
 
 def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_without_one() -> None:
     day = short_day(6)
-    scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
-    period = ranking(scene, effects_of("gyro"))[0]
-    drift = proposals(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])[0]
-    name = Scored(drift, fit_hypothesis(reduce_scene(scene, [drift]), 0), 5.0, 10.0)
-    assert [f.effect for f in findings_of(scene, [Step(name, (period,))])] == ["unknown"]
+    residuals, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
+    period = ranking(residuals, effects_of("gyro"))[0]
+    drift = proposals(residuals, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])[0]
+    name = Scored(drift, fit_hypothesis(reduce_residuals(residuals, [drift]), 0), 5.0, 10.0)
+    assert [f.effect for f in findings_of(residuals, [Step(name, (period,))])] == ["unknown"]
     preferred = replace(name, score=period.score + 1.0)
-    assert [f.effect for f in findings_of(scene, [Step(preferred, (period,))])] == ["unknown"]
-    assert findings_of(scene, [Step(name, ())]) == []
+    assert [f.effect for f in findings_of(residuals, [Step(preferred, (period,))])] == ["unknown"]
+    assert findings_of(residuals, [Step(name, ())]) == []
 
 
 def test_where_neither_the_first_nor_its_first_rival_stands_the_others_are_tried() -> None:
     """A step of a bias was "no difference" though the search was sure of it: two shapes near it fell."""
     day = short_day(6)
-    scene, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
-    period = ranking(scene, effects_of("gyro"))[0]
-    drifts = proposals(scene, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])
-    fit = fit_hypothesis(reduce_scene(scene, drifts[:1]), 0)
+    residuals, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
+    period = ranking(residuals, effects_of("gyro"))[0]
+    drifts = proposals(residuals, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])
+    fit = fit_hypothesis(reduce_residuals(residuals, drifts[:1]), 0)
     first, second = (Scored(drifts[0], fit, period.score + more, 10.0) for more in (1.0, 2.0))
-    assert findings_of(scene, [Step(first, (second,))]) == []
-    assert [f.effect for f in findings_of(scene, [Step(first, (second, period))])] == ["unknown"]
+    assert findings_of(residuals, [Step(first, (second,))]) == []
+    assert [f.effect for f in findings_of(residuals, [Step(first, (second, period))])] == ["unknown"]
 
 
 def test_what_does_not_stand_beside_a_name_does_not_take_it_away() -> None:
     _, day = day_of(7)
-    scene, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]), seconds=3600)
-    warmup = ranking(scene, effects_of("gyro"))[0]
-    beside = ranking(scene, effects_of("gyro"), [warmup.hypothesis])
+    residuals, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]), seconds=3600)
+    warmup = ranking(residuals, effects_of("gyro"))[0]
+    beside = ranking(residuals, effects_of("gyro"), [warmup.hypothesis])
     settling = next(s for s in beside if isinstance(s.hypothesis.effect, Settling))
     nearly = replace(settling, score=5.0, gain=10.0)
-    assert [f.effect for f in findings_of(scene, [Step(warmup, ()), Step(nearly, ())])] == ["gyro_warmup"]
+    assert [f.effect for f in findings_of(residuals, [Step(warmup, ()), Step(nearly, ())])] == ["gyro_warmup"]

@@ -7,14 +7,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.diagnosis.effects.by_rate import RateNonlinearity
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned, as_read
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
-from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_scene
+from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_residuals
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
 
@@ -45,11 +45,11 @@ def fast_turns(cubic: float, seed: int) -> tuple[Samples, Samples]:
     )
 
 
-def stated(scene: Scene, found: Estimate) -> Stated:
+def stated(residuals: SensorResiduals, found: Estimate) -> Stated:
     """Return a finding of the nonlinearity with the sizes of an estimate."""
     where, evidence = Where(0.0, 1.0, (0.0, 0.0), "rate of turn"), Evidence(1.0)
     finding = Finding("gyro_nonlinearity", "gyro", ["x"], where, parameters(found), evidence, [], "")
-    return Stated(finding, found.hypothesis, scene)
+    return Stated(finding, found.hypothesis, residuals)
 
 
 @pytest.mark.parametrize("cubic", [2e-3, 2e-4])
@@ -57,16 +57,16 @@ def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
     accelerometer, gyroscope = fast_turns(cubic, 1)
     bins = cut(accelerometer, gyroscope)
 
-    def turned(rates: Rates) -> tuple[Aligned, Scene | None]:
+    def turned(rates: Rates) -> tuple[Aligned, SensorResiduals | None]:
         made = aligned(gyroscope, bins, G, rates=rates)
-        return made, turn_scene(made, bins, G)
+        return made, turn_residuals(made, bins, G)
 
-    affine, scene = turned(as_read)
-    assert scene is not None
-    first = estimate(scene, scene.hypothesis(RateNonlinearity(3), {}), [])
+    affine, residuals = turned(as_read)
+    assert residuals is not None
+    first = estimate(residuals, residuals.hypothesis(RateNonlinearity(3), {}), [])
     if cubic > 1e-3:
         assert (first.value[3:] < cubic - 3.0 * first.sigma[3:]).any(), "as read, it is too small"
-    finding = about_effects([stated(scene, first)], (affine, scene), as_read, turned)[0].finding
+    finding = about_effects([stated(residuals, first)], (affine, residuals), as_read, turned)[0].finding
     told = finding.parameters["cubic"]
     sigma = np.diff(np.asarray(told.ci95), axis=1).ravel() / (2.0 * 1.96)
     assert (np.abs(np.asarray(told.value) - cubic) < 3.5 * sigma).all(), (told.value, sigma)

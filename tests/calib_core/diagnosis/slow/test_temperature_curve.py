@@ -7,8 +7,8 @@ import pytest
 
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, proposed
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import nulls
@@ -16,9 +16,9 @@ from tests.support.diagnosis import nulls
 SLOPE, QUADRATIC = np.array([4e-4, 0.0, -2e-4]), np.array([8e-5, -6e-5, 0.0])
 
 
-def gyro_of(error: np.ndarray | None) -> Scene:
+def gyro_of(error: np.ndarray | None) -> SensorResiduals:
     rng, day = day_of(5)
-    return scenes(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1]
+    return by_sensor(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1]
 
 
 def test_a_curve_is_one_effect_with_its_bend() -> None:
@@ -40,10 +40,10 @@ def test_a_straight_line_has_no_bend() -> None:
 
 
 def test_another_recording_is_asked_for_the_same_degree() -> None:
-    scene = gyro_of(None)
+    residuals = gyro_of(None)
     for degree in (1, 2, 3):
-        wanted = Wanted("gyro", scene.hypotheses(BiasTemperature("gyro", degree))[0], {})
-        found = proposed(scene, wanted)
+        wanted = Wanted("gyro", residuals.hypotheses(BiasTemperature("gyro", degree))[0], {})
+        found = proposed(residuals, wanted)
         assert found is not None
         assert found.columns[0].shape[2] == 3 * degree
 

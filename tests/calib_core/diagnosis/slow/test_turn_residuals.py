@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned, cuts
-from stillcal.calib_core.diagnosis.model.scenes import scenes
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings, turn_findings
 from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
@@ -25,7 +25,7 @@ def accelerometer(crossed: float, ageing: float, scale: float) -> list[Finding]:
     error = ageing * G * lived.up * (lived.t / lived.t[-1])[:, None]
     error[:, 1] += crossed * G * warm * lived.up[:, 0]
     error[:, 2] += scale * G * warm * lived.up[:, 2]
-    return slow_findings(scenes(nulls.bins_of(rng, lived, QUIET, accel_error=error), nulls.G)[0])
+    return slow_findings(by_sensor(nulls.bins_of(rng, lived, QUIET, accel_error=error), nulls.G)[0])
 
 
 def test_what_an_axis_takes_up_of_another_by_temperature_is_no_scale() -> None:

@@ -8,17 +8,17 @@ import pytest
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene, nothing
-from stillcal.calib_core.diagnosis.model.scenes import scenes
-from stillcal.calib_core.diagnosis.slow.search import reduce_scene
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.wander import Wander, wander, wanders_of
 from tests.support.diagnosis import nulls
 
 LIMIT = thresholds.RANDOM_WALK["gyro"]
 
 
-def reduced(density: float, family: str = "white") -> tuple[Scene, list[Reduced]]:
-    """Return a gyroscope's scene whose bias walks by `density`, rad/s/sqrt(s), with its sums."""
+def reduced(density: float, family: str = "white") -> tuple[SensorResiduals, list[Reduced]]:
+    """Return a gyroscope's residuals whose bias walks by `density`, rad/s/sqrt(s), with its sums."""
     rng = np.random.default_rng(5)
     day = nulls.schedule(rng)
     steps = rng.standard_normal((day.t.size, 3)) * np.sqrt(np.gradient(day.t))[:, None]
@@ -27,11 +27,11 @@ def reduced(density: float, family: str = "white") -> tuple[Scene, list[Reduced]
 
 def with_error(
     day: nulls.Day, rng: np.random.Generator, error: Array, family: str
-) -> tuple[Scene, list[Reduced]]:
-    """Return a gyroscope's scene with this error (n, 3) of its bias, rad/s, with its sums."""
+) -> tuple[SensorResiduals, list[Reduced]]:
+    """Return a gyroscope's residuals with this error (n, 3) of its bias, rad/s, with its sums."""
     bins = nulls.bins_of(rng, day, family, gyro_error=error)
-    scene = next(s for s in scenes(bins, nulls.G) if s.sensor == "gyro")
-    return scene, reduce_scene(scene, [nothing(scene)])
+    residuals = next(s for s in by_sensor(bins, nulls.G) if s.sensor == "gyro")
+    return residuals, reduce_residuals(residuals, [nothing(residuals)])
 
 
 def test_a_walk_of_ten_times_what_is_allowed_is_sure_and_its_density_is_right() -> None:
@@ -44,8 +44,8 @@ def test_a_walk_of_ten_times_what_is_allowed_is_sure_and_its_density_is_right() 
 
 @pytest.mark.parametrize("family", ["white", "flicker", "gm300", "walk_strong"])
 def test_what_is_allowed_is_no_finding(family: str) -> None:
-    scene, sums = reduced(0.1 * LIMIT, family)
-    assert wander(scene, sums) == []
+    residuals, sums = reduced(0.1 * LIMIT, family)
+    assert wander(residuals, sums) == []
     assert max(w.log_bayes_factor(LIMIT) for w in wanders_of(sums)) < 3.0
 
 

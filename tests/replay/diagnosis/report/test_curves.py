@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -104,8 +104,8 @@ def test_a_pair_draws_the_difference_of_two_sensors_however_they_were_moved() ->
     left = rng.normal(0.0, 0.003, (t.size, 3)) + np.outer(slope * (warm - 25.0), [1.0, 0.0, 0.0])
     force = Samples.checked(Sensor.ACCELEROMETER, t, moved)
     apart = Samples.checked(Sensor.ACCELEROMETER, t, left, warm)
-    bins, scenes = pair_scenes(Readings(apart, None), Readings(force, None), [], 0.0)
-    exam = replace(examine(force, None, search=False), bins=bins, scenes=scenes, statements=[])
+    bins, sensors = pair_residuals(Readings(apart, None), Readings(force, None), [], 0.0)
+    exam = replace(examine(force, None, search=False), bins=bins, sensors=sensors, statements=[])
     answered = {
         "effect": "accel_bias_temperature",
         "sensor": "accel",

@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
 from stillcal.replay.diagnosis.paired import less
@@ -26,8 +26,8 @@ def test_powers_of_the_force_leave_nothing_in_motion(quadratic: float, cubic: fl
 
     real, sim = turned(1, bent), turned(2)
     true = Readings(sim.accelerometer, sim.gyroscope)
-    _, (scene, _) = pair_scenes(less(real, true), true, [], 0.0)
-    found = scene.hypothesis(ForceNonlinearity(3 if cubic else 2), {})
-    left = left_in_motion(scene, [found])
-    assert left is not None and left.finding(scene) is None
+    _, (residuals, _) = pair_residuals(less(real, true), true, [], 0.0)
+    found = residuals.hypothesis(ForceNonlinearity(3 if cubic else 2), {})
+    left = left_in_motion(residuals, [found])
+    assert left is not None and left.finding(residuals) is None
     assert (np.sqrt(left.variance) < 2e-3).all()

@@ -7,22 +7,24 @@ import pytest
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.pair.motion import Motion, left_in_motion
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
-from stillcal.calib_core.diagnosis.model.hypothesis import Scene
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.replay.diagnosis.paired import less, mean_readings
 from tests.support.diagnosis.turned_pairs import REST, Flaw, perfect, turned
 
 SCALE = np.eye(3) + np.array([[0.01, 0.004, 0.0], [0.0, -0.02, 0.0], [0.003, 0.0, 0.01]])
 
 
-def scenes(flaw: Flaw = perfect, seed: int = 1, *, mismatch: float = 0.0, rest: float = REST) -> list[Scene]:
+def by_sensor(
+    flaw: Flaw = perfect, seed: int = 1, *, mismatch: float = 0.0, rest: float = REST
+) -> list[SensorResiduals]:
     real, simulated = turned(seed, flaw, rest=rest), turned(100 + seed, rest=rest)
     true = mean_readings(real, [simulated])
-    return pair_scenes(less(real, true), true, [], mismatch)[1]
+    return pair_residuals(less(real, true), true, [], mismatch)[1]
 
 
-def judged(scene: Scene) -> Motion:
-    found = left_in_motion(scene)
+def judged(residuals: SensorResiduals) -> Motion:
+    found = left_in_motion(residuals)
     assert found is not None
     return found
 
@@ -42,40 +44,42 @@ def of_scale_and_bias(force: Array, rate: Array) -> tuple[Array, Array]:
 @pytest.mark.parametrize("flaw", [perfect, of_scale_and_bias])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_bias_scale_and_noise_do_leaves_nothing(flaw: Flaw, seed: int) -> None:
-    for scene in scenes(flaw, seed):
-        assert judged(scene).finding(scene) is None
+    for residuals in by_sensor(flaw, seed):
+        assert judged(residuals).finding(residuals) is None
 
 
 @pytest.mark.parametrize(
     ("flaw", "flawed"), [(other_gain_for_positive_rates, "gyro"), (rate_in_force, "accel")]
 )
 def test_what_no_scale_explains_is_found_and_is_the_bins_that_move(flaw: Flaw, flawed: str) -> None:
-    for scene in scenes(flaw):
-        said = judged(scene).finding(scene)
-        if scene.sensor != flawed:
+    for residuals in by_sensor(flaw):
+        said = judged(residuals).finding(residuals)
+        if residuals.sensor != flawed:
             assert said is None
             continue
         assert said is not None
         assert (said.effect, said.where.driver, said.axes) == ("unknown", "motion", ["x", "y", "z"])
-        moving = scene.views[0].moving
+        moving = residuals.views[0].moving
         assert moving is not None
-        for view, size in zip(scene.views, np.asarray(said.parameters["rms"].value), strict=True):
+        for view, size in zip(residuals.views, np.asarray(said.parameters["rms"].value), strict=True):
             left = view.left()[moving > 0.0]
             assert 0.5 < size / np.sqrt((left**2).mean()) < 2.0
 
 
 def test_an_excess_is_taken_for_what_chance_left_only_below_its_own_noise() -> None:
     """Added to the bins in motion: a third of their noise is chance, three times their noise is not."""
-    (_, scene) = scenes()
+    (_, residuals) = by_sensor()
     rng = np.random.default_rng(5)
     for part, stated in ((0.3, False), (3.0, True)):
-        for view in scene.views:
+        for view in residuals.views:
             assert view.moving is not None
             away = rng.normal(size=view.t.size) * view.moving * np.sqrt(view.variance)
             view.y[0] += part * away
-        assert (judged(scene).finding(scene) is not None) is stated
+        assert (judged(residuals).finding(residuals) is not None) is stated
 
 
 def test_motion_is_not_judged_without_rests_and_not_of_a_witness() -> None:
-    assert all(left_in_motion(scene) is None for scene in scenes(mismatch=0.01))
-    assert all(left_in_motion(scene) is None for scene in scenes(other_gain_for_positive_rates, rest=1.0))
+    assert all(left_in_motion(residuals) is None for residuals in by_sensor(mismatch=0.01))
+    assert all(
+        left_in_motion(residuals) is None for residuals in by_sensor(other_gain_for_positive_rates, rest=1.0)
+    )

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.pair.scenes import pair_scenes
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.vote import of_share, shares
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.paired import less, mean_readings
@@ -23,21 +23,21 @@ DRIFT = np.array([2e-3, 0.0, -1e-3])
 NOTHING = np.zeros(3)
 
 
-def scenes_of(drifts: list[Array | None]) -> list[Scene]:
-    """Return the gyroscope's scene of each sensor less the mean of the others."""
+def residuals_of(drifts: list[Array | None]) -> list[SensorResiduals]:
+    """Return the gyroscope's residuals of each sensor less the mean of the others."""
     every = [sensor(seed, f"{seed}.csv", drift=drift) for seed, drift in enumerate(drifts)]
     out = []
     for k, own in enumerate(every):
         true = mean_readings(own, every[:k] + every[k + 1 :])
-        out.append(pair_scenes(less(own, true), true, [], MISMATCH)[1][1])
+        out.append(pair_residuals(less(own, true), true, [], MISMATCH)[1][1])
     return out
 
 
-def drifting(scene: Scene) -> Stated:
+def drifting(residuals: SensorResiduals) -> Stated:
     """Return a bias that changes as the generator's drift does."""
     effect = Parameters("drift", "gyro", (Linear("size", "rad/s", 3, 0.01),))
-    columns = scene.columns_of(on_axes(course(scene.bins.t / LENGTH)))
-    where = Where(*scene.bins.span, SLOW_BAND, "time")
+    columns = residuals.columns_of(on_axes(course(residuals.bins.t / LENGTH)))
+    where = Where(*residuals.bins.span, SLOW_BAND, "time")
     return Stated(
         Finding("drift", "gyro", [], where, {}, Evidence(0.0), [], ""), Hypothesis(effect, {}, columns)
     )
@@ -45,17 +45,17 @@ def drifting(scene: Scene) -> Stated:
 
 @pytest.mark.parametrize("owner", [0, 1, 2])
 def test_of_three_sensors_the_one_that_drifts_is_found(owner: int) -> None:
-    scenes = scenes_of([DRIFT if k == owner else None for k in range(3)])
-    assert shares(drifting(scenes[0]), [], scenes, NOTHING)[owner] > 0.99
+    sensors = residuals_of([DRIFT if k == owner else None for k in range(3)])
+    assert shares(drifting(sensors[0]), [], sensors, NOTHING)[owner] > 0.99
 
 
 def test_where_none_drifts_none_is_blamed() -> None:
-    scenes = scenes_of([None, None, None])
-    assert shares(drifting(scenes[0]), [], scenes, NOTHING).max() < 0.8
+    sensors = residuals_of([None, None, None])
+    assert shares(drifting(sensors[0]), [], sensors, NOTHING).max() < 0.8
 
 
 def test_two_sensors_decide_nothing_unless_one_shows_it_alone() -> None:
-    one = drifting(scenes_of([DRIFT, None])[0])
+    one = drifting(residuals_of([DRIFT, None])[0])
     assert shares(one, [], [], np.zeros(2)) == pytest.approx([0.5, 0.5])
     assert shares(one, [], [], np.array([20.0, 0.0]))[0] > 0.999
 

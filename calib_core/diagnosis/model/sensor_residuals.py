@@ -1,4 +1,4 @@
-"""From still bins to the two sensors' scenes: baseline fitted, views built."""
+"""From still bins to the two sensors' residuals: baseline fitted, views built."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from stillcal.calib_core.diagnosis.model import rates
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model.earth import ON_AVERAGE, RATE, ground, shared_rate
 from stillcal.calib_core.diagnosis.model.effect import Linear
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.streams.course import Course
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 EARTH = Parameters("earth", "gyro", (Linear("rate", "rad/s", 3, ON_AVERAGE * RATE),))
 
 
-def scenes(
+def by_sensor(
     bins: Bins,
     gravity: float,
-    covariates: Mapping[str, Course] | None = None,
+    covariates: Mapping[str, TimeSeries] | None = None,
     gyroscope: Samples | None = None,
-) -> list[Scene]:
-    """Return the accelerometer's scene and, where there is a gyroscope, its own.
+) -> list[SensorResiduals]:
+    """Return the accelerometer's residuals and, where there is a gyroscope, its own.
 
     covariates: further logged columns by name, which a bias may follow. gyroscope: its samples, by which the
     phone's heading is followed from rest to rest; None where there are only means.
@@ -38,15 +38,17 @@ def scenes(
     motion = rates.tilt_rate(bins, views.tilted(bins.force, baseline.parameters)[0])
     over = ground(gyroscope, bins, baseline.up)
     turning = tuple(rates.rate_views(bins, baseline.up, motion, over))
-    scene = Scene("gyro", bins, turning, gravity, baseline.up, covariates=logged)
-    columns = scene.columns_of(shared_rate(baseline.up, over))
-    return [*found, replace(scene, shared=Hypothesis(EARTH, {}, columns))]
+    residuals = SensorResiduals("gyro", bins, turning, gravity, baseline.up, covariates=logged)
+    columns = residuals.columns_of(shared_rate(baseline.up, over))
+    return [*found, replace(residuals, shared=Hypothesis(EARTH, {}, columns))]
 
 
-def of_force(bins: Bins, baseline: views.Baseline, gravity: float, logged: Mapping[str, Course]) -> Scene:
-    """Return the accelerometer's scene about a baseline; logged: further logged columns by name."""
+def of_force(
+    bins: Bins, baseline: views.Baseline, gravity: float, logged: Mapping[str, TimeSeries]
+) -> SensorResiduals:
+    """Return the accelerometer's residuals about a baseline; logged: further logged columns by name."""
     norm = views.norm_view(bins, baseline, gravity)
     tangent = views.tangent_view(bins, baseline)
     seen = (norm,) if tangent is None else (norm, tangent)
     sensed = gravity * baseline.up @ np.linalg.inv(baseline.scale).T
-    return Scene("accel", bins, seen, gravity, baseline.up, covariates=logged, sensed=sensed)
+    return SensorResiduals("accel", bins, seen, gravity, baseline.up, covariates=logged, sensed=sensed)

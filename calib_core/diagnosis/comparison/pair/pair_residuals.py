@@ -1,4 +1,4 @@
-"""The difference of two sensors' readings, cut into bins: a scene of each sensor."""
+"""The difference of two sensors' readings, cut into bins: the residuals of each sensor."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from stillcal.calib_core.diagnosis.comparison.pair.earth import of_ground
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Scene
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View
-from stillcal.calib_core.diagnosis.model.scenes import EARTH
+from stillcal.calib_core.diagnosis.model.sensor_residuals import EARTH
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import STANDARD
@@ -27,14 +27,14 @@ GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
 """Prior size of what one sensor reads of the other's input: scale on the diagonal, misalignment beside it."""
 
 
-def pair_scenes(
+def pair_residuals(
     difference: Readings,
     true: Readings,
     events: Sequence[Charging],
     mismatch: float,
     added: Readings | None = None,
-) -> tuple[Bins, list[Scene]]:
-    """Return the bins of a whole recording and a scene of each sensor.
+) -> tuple[Bins, list[SensorResiduals]]:
+    """Return the bins of a whole recording and the residuals of each sensor.
 
     difference: what the recording reads less what the other does, with the recording's temperature; true:
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
@@ -57,21 +57,21 @@ def pair_scenes(
     bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
     up = moved.force / STANDARD
 
-    def scene(
+    def residuals(
         sensor: str, mean: Array, variance: Array, read: Samples, inputs: tuple[Array, Array | None]
-    ) -> Scene:
+    ) -> SensorResiduals:
         shaken = mismatch**2 * shaking(read, left)[:, None]
         views = _views(left, mean, variance + shaken, inputs, judged)
-        return Scene(sensor, bins, views, STANDARD, up, force_powers=powers)
+        return SensorResiduals(sensor, bins, views, STANDARD, up, force_powers=powers)
 
     inputs = (moved.force, None if known is None else known.force)
-    scenes = [scene("accel", left.force, left.force_variance, true.force, inputs)]
+    sensors = [residuals("accel", left.force, left.force_variance, true.force, inputs)]
     if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
         assert true.rate is not None, "it was cut"
         inputs = (moved.rate, None if known is None else known.rate)
-        gyro = scene("gyro", left.rate, left.rate_variance, true.rate, inputs)
-        scenes.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
-    return bins, scenes
+        gyro = residuals("gyro", left.rate, left.rate_variance, true.rate, inputs)
+        sensors.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
+    return bins, sensors
 
 
 def _power(samples: Samples, exponent: int) -> Samples:
@@ -79,10 +79,10 @@ def _power(samples: Samples, exponent: int) -> Samples:
     return replace(samples, xyz=frozen(samples.xyz**exponent))
 
 
-def _with_earth(scene: Scene, rate: Samples, still: NDArray[np.bool_]) -> Scene:
-    """Return the gyroscope's scene, free by the Earth's rotation, which the other sensor may lack."""
-    columns = scene.columns_of(of_ground(rate, scene.bins, still))
-    return replace(scene, shared=Hypothesis(EARTH, {}, columns))
+def _with_earth(residuals: SensorResiduals, rate: Samples, still: NDArray[np.bool_]) -> SensorResiduals:
+    """Return the gyroscope's residuals, free by the Earth's rotation, which the other sensor may lack."""
+    columns = residuals.columns_of(of_ground(rate, residuals.bins, still))
+    return replace(residuals, shared=Hypothesis(EARTH, {}, columns))
 
 
 def _views(

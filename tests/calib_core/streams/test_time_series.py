@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from stillcal.calib_core.streams.course import Course
+from stillcal.calib_core.streams.time_series import TimeSeries
 
-RAMP = Course(np.array([0.0, 10.0, 20.0]), np.array([0.0, 10.0, 0.0]))
+RAMP = TimeSeries(np.array([0.0, 10.0, 20.0]), np.array([0.0, 10.0, 0.0]))
 
 
 def test_a_mean_is_that_of_straight_lines_between_readings() -> None:
@@ -18,7 +18,7 @@ def test_a_mean_is_that_of_straight_lines_between_readings() -> None:
 
 def test_a_mean_over_several_swings_is_not_the_value_in_the_middle() -> None:
     t = np.arange(0.0, 100.0, 0.01)
-    swing = Course(t, np.sin(t))
+    swing = TimeSeries(t, np.sin(t))
     middle, length = 50.0, 27.0
     exact = (np.cos(middle - length / 2) - np.cos(middle + length / 2)) / length
     np.testing.assert_allclose(swing.mean(np.array([middle]), np.array([length])), exact, atol=1e-5)

@@ -10,7 +10,7 @@ from stillcal.calib_core.arrays import Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Course:
+class TimeSeries:
     """A quantity over time. t: (m,) s, not decreasing; values: (m,)."""
 
     t: Array
