@@ -1,0 +1,48 @@
+"""The search reduces hypotheses in batches: what a batch takes, and that their size changes nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.slow import search
+from tests.support.diagnosis import nulls
+
+MOST_MB = 64.0
+"""A sixth of what the self-diagnosis of the daemon may take in all (`diagnosis.memory_mib`)."""
+
+
+def gyroscope() -> SensorResiduals:
+    """Return a gyroscope's residuals with a thermometer, a charger, and the Earth's rate in all axes."""
+    rng = np.random.default_rng(5)
+    return by_sensor(nulls.bins_of(rng, nulls.schedule(rng), "flicker"), nulls.G)[1]
+
+
+def test_a_batch_of_hypotheses_takes_little_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    reduce, taken = search.reduce_residuals, []
+
+    def measured(*args: object, **how: object) -> list[Reduced]:
+        made = reduce(*args, **how)  # type: ignore[arg-type]
+        taken.append(sum(block.nbytes for view in made for block in view.blocks) / 1e6)
+        return made
+
+    monkeypatch.setattr(search, "reduce_residuals", measured)
+    residuals = gyroscope()
+    assert residuals.shared is not None
+    search.compete(residuals, search.proposals(residuals, effects_in(residuals)))
+    assert max(taken) < MOST_MB
+
+
+def test_the_size_of_a_batch_changes_no_score(monkeypatch: pytest.MonkeyPatch) -> None:
+    residuals = gyroscope()
+    some = search.proposals(residuals, effects_in(residuals))[::4]
+    found = []
+    for together in (search.COLUMNS, 10_000):
+        monkeypatch.setattr(search, "COLUMNS", together)
+        found.append([(s.hypothesis.grid, s.score) for s in search.compete(residuals, some)])
+    assert [grid for grid, _ in found[0]] == [grid for grid, _ in found[1]]
+    np.testing.assert_allclose([s for _, s in found[0]], [s for _, s in found[1]], rtol=1e-9, atol=1e-9)
