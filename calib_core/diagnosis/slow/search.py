@@ -35,7 +35,7 @@ from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
 COLUMNS = 128
-"""Of hypotheses reduced together, the baseline taken off once: 30 MB of sums. More of them take no less time."""
+"""Of hypotheses reduced together, the baseline taken off once: 30 MB of sums. More take no less time."""
 
 ACROSS = 13.8
 """Chi-squared of two components that chance exceeds once in 1000."""
