@@ -100,8 +100,9 @@ def _sure(y: Array, along: Array, known: Array, design: Array, rest: Index) -> f
         return 0.0
     flat = design.reshape(3 * n, free)
     left = y - (design @ np.linalg.lstsq(flat, y.ravel(), rcond=None)[0] if free else 0.0)
-    size = rms(left)
-    if size == 0.0 or rms(np.einsum("na,na->n", left, along)) < size:
+    size, about = rms(left), float((np.einsum("na,na->n", left, along) ** 2).sum())
+    across = (float((left**2).sum()) - about) / 2.0
+    if size == 0.0 or about < across * (1.0 + np.sqrt(3.0 / n)):  # one standard deviation of such a ratio
         return 0.0
     y, outer = y / size, along[:, :, None] * along[:, None, :]
     known = known / size**2 + 1e-9 * np.eye(3)
