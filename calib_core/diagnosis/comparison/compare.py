@@ -32,7 +32,6 @@ from stillcal.calib_core.diagnosis.comparison.looked_for import (
 from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differences_of_samples, in_neither
 from stillcal.calib_core.diagnosis.comparison.quantity import (
-    CERTAIN,
     Difference,
     Key,
     Quantity,
@@ -49,6 +48,7 @@ from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER

@@ -21,12 +21,9 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
 from stillcal.calib_core.diagnosis.model.records import Where
-from stillcal.calib_core.diagnosis.model.settings import MODELLED
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS, MODELLED
 
 Relation = Literal["lacking", "too_small", "too_large", "superfluous"]
-
-CERTAIN = 0.95
-"""Posterior probability from which a difference is stated, and one minus it from which agreement is."""
 
 EVEN = 0.5
 """Posterior probability of any difference from which there is no agreement."""
@@ -156,7 +153,7 @@ class Difference:
         """
         variance = self.covariance.diagonal() + self.recorded.tolerance**2
         ratio = (self.recorded.size[:, None] * SIZES) ** 2 / variance[:, None]
-        needed = np.log(CERTAIN / (1.0 - CERTAIN) * comparisons)
+        needed = CERTAIN_NATS + np.log(comparisons)
         tried = np.linspace(0.0, MOST_SIGMA, FINE)
         shrunk = 0.5 * tried**2 * (ratio / (1.0 + ratio))[:, :, None] - 0.5 * np.log1p(ratio)[:, :, None]
         seen = np.logaddexp.reduce(shrunk, axis=1) - np.log(SIZES.size) >= needed

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, Relation
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, Relation
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Departure, Finding, Where
-from stillcal.calib_core.diagnosis.model.settings import STATEMENTS_TRUE
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN, STATEMENTS_TRUE
 
 Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
 LEAST_JUDGED = 1.0 / 3.0

@@ -8,10 +8,11 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import noise
 from stillcal.calib_core.diagnosis.comparison.direct import named
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Key, posterior
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 
 Sole = tuple[Finding, bool]
 """What one recording alone has, and whether it is the recording, not SIM."""

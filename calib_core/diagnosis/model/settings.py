@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 SCORE = 4.0
 """Least score S of a slow finding, from tests/support/diagnosis/threshold.py (docs/diagnosis.md, 5)."""
 
@@ -63,13 +65,19 @@ STATEMENTS_TRUE = 0.97
 do more: of 850 statements to which it gave above 0.99, in recordings with concealed effects, 823 were true
 (docs/proof.md, 10)."""
 
+CERTAIN = 0.95
+"""Posterior probability from which a difference is stated, and one minus it from which agreement is."""
+
+CERTAIN_NATS = float(np.log(CERTAIN / (1.0 - CERTAIN)))
+"""Evidence, nats, from which even odds are certain."""
+
 CERTAIN_NAMELESS = 0.999
 """Posterior probability of jumps or wander beyond what is allowed that makes them a finding with no name."""
 
 BANDWIDTH_LIMIT = 0.38
 """Part of the sample rate below which a low-pass is a finding: parts come with 0.40 to 0.44 (BMI270)."""
 
-CERTAIN = 0.99
+CERTAIN_WALK = 0.99
 """Posterior probability of a random walk beyond the limit that makes it a finding."""
 
 BANDWIDTH_GAIN = 60.0

@@ -28,9 +28,6 @@ from stillcal.calib_core.streams.time_series import TimeSeries
 LAGS = (20.0, 60.0, 200.0, 600.0, 2000.0)
 """s: time constants with which an effect may come late; the shortest is two bins."""
 
-DOUBT = float(np.log(19.0))
-"""nats from which one of two that are alike beforehand has a probability of 0.95, as a finding must have."""
-
 RIVALS = 3
 """Other names, the likeliest, that are compared with their forms left open."""
 
@@ -101,7 +98,7 @@ def stated(form: Departure | None, found: Estimate) -> Departure | None:
 
 def _is_sure(form: Departure, found: Estimate) -> bool:
     least = max(thresholds.MODELLED, found.hypothesis.effect.rough)
-    return form.log_bayes_factor > DOUBT and form.part > least
+    return form.log_bayes_factor > thresholds.CERTAIN_NATS and form.part > least
 
 
 def _nameless(found: Estimate) -> bool:
@@ -124,7 +121,7 @@ def _of_another(
         rest = [h for k, h in enumerate(found) if k not in (i, j)]
         alone = estimate(residuals, other.hypothesis, rest)
         own = evidence_of(residuals, found[i], [alone.hypothesis, *rest]) - looked_for
-        if departure(residuals, alone, rest).log_bayes_factor > own - DOUBT:
+        if departure(residuals, alone, rest).log_bayes_factor > own - thresholds.CERTAIN_NATS:
             return True
     return False
 
@@ -137,7 +134,7 @@ def _keeps(
     Where its form does not hold, other names are as likely, with their forms left open, but for odds that are
     no decision.
     """
-    if form.log_bayes_factor <= DOUBT or form.part <= thresholds.MODELLED:
+    if form.log_bayes_factor <= thresholds.CERTAIN_NATS or form.part <= thresholds.MODELLED:
         return True
     pure = evidence_of(residuals, found.hypothesis, others)
     if form.log_bayes_factor > pure:
@@ -146,7 +143,7 @@ def _keeps(
     for rival in _rivals(step):
         near = estimate(residuals, refined(residuals, Step(rival, ()), others).winner.hypothesis, others)
         other = evidence_of(residuals, near.hypothesis, others)
-        if _left_open(other, departure(residuals, near, others)) > own - DOUBT:
+        if _left_open(other, departure(residuals, near, others)) > own - thresholds.CERTAIN_NATS:
             return False
     return True
 

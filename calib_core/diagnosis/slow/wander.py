@@ -126,7 +126,7 @@ def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Findi
     limit = thresholds.RANDOM_WALK[residuals.sensor]
     seen = [w for v, w in zip(residuals.views, wanders_of(reduced), strict=True) if v.name != "tangent"]
     by_axis = seen if len(seen) == 3 else seen * 3
-    axes = [a for a, w in zip(AXES, by_axis, strict=True) if w.walks_beyond(limit) >= thresholds.CERTAIN]
+    axes = [a for a, w in zip(AXES, by_axis, strict=True) if w.walks_beyond(limit) >= thresholds.CERTAIN_WALK]
     if axes:
         return [_random_walk(residuals, by_axis, axes, limit)]
     axes = [a for a, w in zip(AXES, by_axis, strict=True) if w.beyond(limit) >= thresholds.CERTAIN_NAMELESS]

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, EVEN
+from stillcal.calib_core.diagnosis.comparison.quantity import EVEN
 from stillcal.calib_core.diagnosis.comparison.records import LEVEL
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import with_interval
 

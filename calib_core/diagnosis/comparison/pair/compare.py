@@ -12,10 +12,11 @@ from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, taken_out
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity, subtract, weighed
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import axes_of
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 
 NOT_SOUGHT = "it is not looked for in a pair"

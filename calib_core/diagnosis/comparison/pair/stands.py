@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     wanted_of,
 )
 from stillcal.calib_core.diagnosis.comparison.pair.vote import shares_alone
-from stillcal.calib_core.diagnosis.comparison.quantity import CERTAIN, Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
@@ -30,14 +30,12 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_facto
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
-
-SURELY = float(np.log(CERTAIN / (1.0 - CERTAIN)))
-"""Evidence, nats, from which even odds become certain."""
 
 
 def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Examination) -> Comparison:
@@ -80,7 +78,7 @@ def _owned(one: Discrepancy, said: Stated | None, alone: Array) -> Discrepancy:
 
     alone: (2,) nats, how much the rests of each speak for it.
     """
-    both_hold_it = bool((alone > SURELY).all())
+    both_hold_it = bool((alone > CERTAIN_NATS).all())
     of_recording, of_simulation = shares_alone(alone)
     if both_hold_it or of_simulation < CERTAIN:
         sure = of_recording >= CERTAIN and not both_hold_it

@@ -9,7 +9,6 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from stillcal.calib_core.diagnosis.comparison.quantity import (
-    CERTAIN,
     Part,
     Quantity,
     posterior,
@@ -19,6 +18,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 from stillcal.calib_core.diagnosis.comparison.records import LEAST_JUDGED, Comparison, NotCompared, p_of
 from stillcal.calib_core.diagnosis.comparison.sensitivity import of_difference
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 
 Floats = NDArray[np.float64]
 
