@@ -39,7 +39,7 @@ from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.charger import FULL_K
 from stillcal.calib_core.temperature.forecast import Forecast
-from stillcal.calib_core.temperature.memory import Memory
+from stillcal.calib_core.temperature.memory import MAX_AGE_S, Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
     GYROSCOPE,
@@ -236,9 +236,34 @@ def _learn(
     )
     if term is not None and charger.drives(term):
         learnt = learn_by(thermometer) if thermometer.mostly_known else None
-        return learnt if learnt is not None and learnt.change == TAKEN_UP else learn_by(charger)
-    silent = term is None and not thermometer.mostly_known
-    return learn_by(charger if silent and charger.mostly_known else thermometer)
+        learnt = learnt if learnt is not None and learnt.change == TAKEN_UP else learn_by(charger)
+    else:
+        silent = term is None and not thermometer.mostly_known
+        learnt = learn_by(charger if silent and charger.mostly_known else thermometer)
+    return _with_unfollowed(learnt, thermometer, term=term, before=before, t=t)
+
+
+def _with_unfollowed(
+    learnt: Learnt, thermometer: Driver, *, term: Term | None, before: Forecast | None, t: float
+) -> Learnt:
+    """Return what was learnt, as uncertain as the bias moves with a temperature that is followed no longer.
+
+    A reading that is missing or doubted says nothing against the rests that showed the curve. They count
+    until a curve is followed again, or for as long as the memory would keep them. term, before: in use.
+    """
+    known_now = bool(np.isfinite(thermometer.read[-1]))
+    if before is None or (known_now and learnt.term is not None and thermometer.drives(learnt.term)):
+        return learnt
+    size, since = before.unfollowed, before.unfollowed_since
+    if since is None:
+        followed = term is not None and thermometer.drives(term)
+        if not followed or (known_now and not learnt.doubt):
+            return learnt
+        size, since = before.between_temperatures(), t
+    if t - since > MAX_AGE_S:
+        return learnt
+    forecast = replace(learnt.forecast, unfollowed=size, unfollowed_since=since)
+    return replace(learnt, forecast=forecast)
 
 
 def _learn_by(

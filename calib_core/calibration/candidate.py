@@ -38,6 +38,7 @@ from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, P
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.forecast import Forecast
 
 _PARAMETER_COUNT = {Parameters.BIAS: 3, Parameters.SCALE3: 6, Parameters.FULL9: 12}
 _GYRO_NAMES = (*(f"S_{a}{b}" for a in "xyz" for b in "xyz"), "b_x", "b_y", "b_z")
@@ -118,6 +119,7 @@ def fit_candidate(
             for rest, residual, label in zip(pool.rests, fit.residuals, labels, strict=True)
         ),
         terms=() if known is None else known.terms,
+        forecast={} if known is None else _unfollowed(known),
     )
     return Candidate(record, fit, gyro, pool, settings, labels, change)
 
@@ -125,6 +127,18 @@ def fit_candidate(
 def _is_first(known: CalibrationRecord | None) -> bool:
     """Tell whether there is no calibration yet that stands on its rests alone."""
     return known is None or known.accelerometer is None or known.accelerometer.with_prior
+
+
+def _unfollowed(known: CalibrationRecord) -> dict[str, Forecast]:
+    """Return the forecasts by which a bias moves with a temperature that is not followed now.
+
+    They stand until the bias of the new calibration is learnt. Other forecasts are of the old bias alone.
+    """
+    return {
+        sensor: forecast
+        for sensor, forecast in known.forecast.items()
+        if forecast.unfollowed_since is not None
+    }
 
 
 def _usable(known: CalibrationRecord | None, pool: Pool) -> CalibrationRecord | None:

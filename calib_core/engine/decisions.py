@@ -386,7 +386,8 @@ class CalibrationPolicy:
     def _follow(self, t: float) -> None:
         """Renew what is known of the accelerometer at t (s); replace its calibration where that is allowed.
 
-        One that failed its check stays degraded until its stated uncertainty is below what a check notices.
+        One that failed its check stays degraded until the uncertainty of its fit is below what a check
+        notices.
         """
         state, limit = self._state, self._settings.quality.accel_limit
         before = state.record
@@ -397,8 +398,8 @@ class CalibrationPolicy:
             if state.record.accelerometer is not before.accelerometer:
                 self._actions.append(Publish(t, state.record, state.record.acceptance.reason))
             return
-        uncertainty = state.record.bias_uncertainty_at(Sensor.ACCELEROMETER, t, None)
-        if uncertainty is not None and uncertainty.max() < limit:
+        forecast = state.record.forecast[str(Sensor.ACCELEROMETER)]
+        if forecast.fitted_uncertainty(t, None).max() < limit:
             state.degraded = False
         state.checked = t
         self._publish(t, "check")

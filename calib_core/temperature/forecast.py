@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S, FULL_K
 from stillcal.calib_core.temperature.regression import Wander, curve_basis
 from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
@@ -28,7 +28,8 @@ class Forecast:
     thermometer; all temperatures here are the sensor's. behind_sd: K, how far the two were apart in the
     rests, root mean square: what is unknown of the sensor's temperature where only the thermometer's is
     known. by_charger: whether all temperatures here are those that the charger stands in for, in K
-    (charger.py).
+    (charger.py). unfollowed: (3,) how far the bias is expected to move with a temperature that it was learnt
+    to follow and that is not believed or not known now; zero where there is none. unfollowed_since: s.
     """
 
     at: float
@@ -45,6 +46,8 @@ class Forecast:
     lag_s: float = 0.0
     behind_sd: float = 0.0
     by_charger: bool = False
+    unfollowed: Array = field(default_factory=lambda: frozen(np.zeros(3)))
+    unfollowed_since: float | None = None
 
     @property
     def wander(self) -> Wander:
@@ -66,6 +69,19 @@ class Forecast:
         the charger stands in for. stray_k: K, standard uncertainty of the temperature, for its age. Without a
         temperature, it is taken to be anywhere in the span of the rests.
         """
+        fitted = self.fitted_uncertainty(t, celsius, lagged, charged, stray_k=stray_k)
+        return np.asarray(np.hypot(fitted, self.unfollowed))
+
+    def fitted_uncertainty(
+        self,
+        t: float,
+        celsius: float | None,
+        lagged: Array | None = None,
+        charged: Array | None = None,
+        *,
+        stray_k: float = 0.0,
+    ) -> Array:
+        """Return the same without what is `unfollowed`: how certain the fit to the rests is."""
         grown, lags_s = self.wander.growth(t - self.at), LAGS_S
         if self.by_charger:
             lags_s = CHARGER_LAGS_S
@@ -85,6 +101,15 @@ class Forecast:
     def at_reference(self, t: float) -> Array:
         """Return the standard uncertainty (3,) of the bias at t (s) and the reference temperature."""
         return self.bias_uncertainty(t, self.reference, charged=np.zeros(1 + len(CHARGER_LAGS_S)))
+
+    def between_temperatures(self) -> Array:
+        """Return how far the bias moves with temperature, (3,) root mean square.
+
+        That is by the curve, from any temperature in the span of the rests to any other one: the bias was
+        measured at one of them and is wanted at another, and neither is known.
+        """
+        curve = curve_basis(np.linspace(*self._span(), 7), self.reference) @ self.curve
+        return frozen(np.sqrt(2.0) * np.std(curve, axis=0))
 
     def _span(self) -> tuple[float, float]:
         if self.by_charger:

@@ -24,6 +24,7 @@ from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.charger import Charger
+from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.service.live_stream import LiveBlock, LiveStream
@@ -101,6 +102,19 @@ def test_it_counts_from_where_the_calibration_stands(record: CalibrationRecord) 
     assert new.accelerometer is not None and record.accelerometer is not None
     assert new.accelerometer.bias == pytest.approx(record.accelerometer.bias, abs=5e-3)
     assert norm_error(new, True) < norm_error(record, True) / 10
+
+
+def test_what_a_curve_showed_outlives_a_new_calibration(record: CalibrationRecord) -> None:
+    """The forecast of a bias whose curve is in use is of that bias alone, and does not."""
+    followed = Forecast(
+        at=1e5, reference=22.0, curve=np.zeros((3, 3)), error=np.zeros((4, 3)),
+        covariance=np.zeros((12, 12)), white=0.0, flicker=0.0, walk=0.0,
+    )  # fmt: skip
+    pool, _ = warm_rests(3, 20.0, 24.0)
+    for since, forecast in ((None, followed), (1e5, replace(followed, unfollowed_since=1e5))):
+        known = replace(record, forecast={"accelerometer": forecast})
+        new = fit_candidate(pool, pool.held[0].gravity, 2e5, CalibrateSettings(), known).record
+        assert new.forecast == ({} if since is None else known.forecast)
 
 
 def test_a_term_is_followed_only_a_little_beyond_its_temperatures(record: CalibrationRecord) -> None:
