@@ -71,8 +71,12 @@ class View:
 
     def left(self, *explained: Array) -> Array:
         """Return the first block's residual (n,), what `nuisance` and `explained` (n, k) may do taken off."""
+        return self.without(self.y[0], *explained)
+
+    def without(self, values: Array, *explained: Array) -> Array:
+        """Return values (n,) or (n, m), taken off what `nuisance` of block 0 and `explained` may do."""
         columns = np.hstack([self.nuisance(), *explained])
-        return np.asarray(self.y[0] - columns @ np.linalg.lstsq(columns, self.y[0], rcond=None)[0])
+        return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
 
 
 def attitudes(up: Array, angle: float = 0.2) -> Index:

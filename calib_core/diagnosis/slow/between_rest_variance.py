@@ -75,12 +75,15 @@ def jumps(
 def _scatter(view: View, explained: list[Array]) -> tuple[float, float]:
     """Return the standard deviation of the means of rests, and its degrees of freedom.
 
-    Beside jumps that are sure, what noise and wander add to it is little.
+    Beside jumps that are sure, what noise and wander add to it is little. The degrees of freedom are the
+    expected sum of squares that jumps of variance one leave in the means: courses within rests, of which a
+    support that turns has many, take nothing off them.
     """
-    away = view.left(*explained)
-    means = np.array([away[view.rest == r].mean() for r in np.unique(view.rest)])
-    freedom = max(means.size - view.nuisance().shape[1], 1)
-    return float(np.sqrt((means**2).sum() / freedom)), float(freedom)
+    each = (view.rest[:, None] == np.unique(view.rest)).astype(float)
+    averages = (each / each.sum(axis=0)).T
+    means = averages @ view.left(*explained)
+    freedom = max(float(((averages @ view.without(each, *explained)) ** 2).sum()), 1.0)
+    return float(np.sqrt((means**2).sum() / freedom)), freedom
 
 
 def stands(residuals: SensorResiduals, one: Scored, found: Jumps) -> bool:

@@ -46,6 +46,17 @@ def test_jumps_are_found_as_large_as_they_are() -> None:
     assert findings[0].axes == ["x", "y", "z"]
 
 
+def test_jumps_are_as_large_on_a_support_that_turns() -> None:
+    """Many courses are free within its rests, which take nothing off their means."""
+    rng, day = short_rests(1)
+    turn = 0.05 * 2.0 * np.pi / 180.0 * np.cos(2.0 * np.pi * day.t / 180.0)
+    error = by_rest(rng, day, SIZE) + day.up * turn[:, None]
+    findings = slow_findings(by_sensor(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1])
+    assert [f.where.driver for f in findings] == [DRIVER]
+    size = np.array(findings[0].parameters["size"].value)
+    assert (size < 2.0 * SIZE).all() and (size > 0.5 * SIZE).all(), size
+
+
 @pytest.mark.slow
 def test_what_towers_above_the_jumps_keeps_its_name_and_what_does_not_loses_it() -> None:
     large, small = found(2, "white", SIZE, 1.5e-3), found(2, "white", SIZE, 1e-4)
