@@ -141,7 +141,8 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
     what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
-    the others; names are then weighed anew. A name whose sizes are not told is taken off.
+    the others; names are then weighed anew. A name whose sizes are not told is taken off. A course that is
+    likelier a turn of the support is left out as well.
     """
     while kept := adequate(steps):
         if not _stands_alone(kept[-1].winner):
@@ -149,6 +150,10 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
             continue
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
+        turned = [s for s, own, rest in zip(kept, found, others, strict=True) if _turns(residuals, own, rest)]
+        if turned:
+            steps = _without(steps, turned[-1])
+            continue
         estimates = [estimate(residuals, own, rest) for own, rest in zip(found, others, strict=True)]
         by_chance = [step for step, e in zip(kept, estimates, strict=True) if _by_chance(e, len(kept))]
         if by_chance:
@@ -176,6 +181,24 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
         weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]
         steps = _without(steps, weak[-1])
     return []
+
+
+def _turns(residuals: SensorResiduals, own: Hypothesis, others: Sequence[Hypothesis]) -> bool:
+    """Whether a nameless course of the gyroscope's bias is likelier as a turn of the support about gravity.
+
+    A bias belongs to the body's axes and has a size on each; such a turn has one about gravity, whatever the
+    attitude. In one attitude it is a bias of certain sizes, and never the likelier of the two.
+    """
+    effect, up = own.effect, residuals.up
+    if residuals.sensor != "gyro" or residuals.turns or up is None:
+        return False
+    if effect.name != "unknown" or effect.by_row or effect.parameters[0].name != "amplitude":
+        return False
+    course = np.sum([columns[0] for columns in own.columns], axis=0)
+    turn = replace(own, columns=residuals.columns_of(up[:, :, None] * course[:, None, :]))
+    reduced = reduce_residuals(residuals, [own, turn], others)
+    bias, motion = (fit_hypothesis(reduced, h).log_likelihood for h in (0, 1))
+    return motion > bias
 
 
 def _unsized(found: Estimate) -> bool:

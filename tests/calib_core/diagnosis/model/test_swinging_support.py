@@ -27,6 +27,33 @@ def test_a_boat_whose_heading_swings_raises_no_alarm() -> None:
     assert slow_findings(by_sensor(moored(3), nulls.G)[1]) == []
 
 
+def in_ten_attitudes(seed: int) -> tuple[np.random.Generator, nulls.Day]:
+    """Draw half an hour of thirty rests of 30 to 90 s."""
+    rng = np.random.default_rng([seed, 5])
+    ups = rng.normal(size=(10, 3))
+    ups /= np.linalg.norm(ups, axis=1, keepdims=True)
+    t, rest, up, start = [], [], [], 0.0
+    for r in range(30):
+        seconds = 10 * int(rng.uniform(3, 10))
+        t.append(start + np.arange(seconds))
+        rest.append(np.full(seconds, r))
+        up.append(np.tile(ups[rng.integers(10)], (seconds, 1)))
+        start += seconds + rng.integers(2, 5)
+    moments = np.concatenate(t)
+    return rng, nulls.Day(moments, np.concatenate(rest), np.vstack(up), 25.0 + 0.0 * moments, 0.0 * moments)
+
+
+def test_a_steady_swing_is_no_period_of_the_bias_and_a_period_of_the_bias_is() -> None:
+    """Gravity lies more on one side of an axis than on the other, so that the swing has a mean on each."""
+    rng, day = in_ten_attitudes(2)
+    wave = np.cos(2.0 * np.pi * day.t / 60.0)[:, None]
+    swung = nulls.bins_of(rng, day, "white", gyro_error=5e-3 * day.up * wave)
+    assert slow_findings(by_sensor(swung, nulls.G)[1]) == []
+    biased = nulls.bins_of(rng, day, "white", gyro_error=np.array([2e-3, -1e-3, 1e-3]) * wave)
+    found = slow_findings(by_sensor(biased, nulls.G)[1])
+    assert "a period in time" in {f.where.driver for f in found}
+
+
 def test_a_turn_about_gravity_is_told_from_a_bias_that_is_another_in_every_rest() -> None:
     for seed in range(3):
         bins = moored(seed)
