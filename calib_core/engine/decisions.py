@@ -398,8 +398,8 @@ class CalibrationPolicy:
             if state.record.accelerometer is not before.accelerometer:
                 self._actions.append(Publish(t, state.record, state.record.acceptance.reason))
             return
-        forecast = state.record.forecast[str(Sensor.ACCELEROMETER)]
-        if forecast.fitted_uncertainty(t, None).max() < limit:
+        fit = state.record.forecast[str(Sensor.ACCELEROMETER)].of_fit()
+        if fit.bias_uncertainty(t, None).max() < limit:
             state.degraded = False
         state.checked = t
         self._publish(t, "check")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -69,20 +69,7 @@ class Forecast:
         the charger stands in for. stray_k: K, standard uncertainty of the temperature, for its age. Without a
         temperature, it is taken to be anywhere in the span of the rests.
         """
-        fitted = self.fitted_uncertainty(t, celsius, lagged, charged, stray_k=stray_k)
-        return np.asarray(np.hypot(fitted, self.unfollowed))
-
-    def fitted_uncertainty(
-        self,
-        t: float,
-        celsius: float | None,
-        lagged: Array | None = None,
-        charged: Array | None = None,
-        *,
-        stray_k: float = 0.0,
-    ) -> Array:
-        """Return the same without what is `unfollowed`: how certain the fit to the rests is."""
-        grown, lags_s = self.wander.growth(t - self.at), LAGS_S
+        grown, lags_s = self.wander.growth(t - self.at) + self.unfollowed**2, LAGS_S
         if self.by_charger:
             lags_s = CHARGER_LAGS_S
             celsius, lagged = (None, None) if charged is None else (float(charged[0]), charged[1:])
@@ -97,6 +84,10 @@ class Forecast:
         unknown = [self._variance(float(c), error, 0.0) for c in np.linspace(*self._span(), 7)]
         total: Array = np.sqrt(np.mean(unknown, axis=0) + grown)
         return total
+
+    def of_fit(self) -> Forecast:
+        """Return the forecast without what is `unfollowed`: how certain the fit to the rests is."""
+        return replace(self, unfollowed=frozen(np.zeros(3)), unfollowed_since=None)
 
     def at_reference(self, t: float) -> Array:
         """Return the standard uncertainty (3,) of the bias at t (s) and the reference temperature."""
