@@ -68,7 +68,7 @@ def owners_of(
     """Return what was found in the difference of readings, with how likely it is each recording's.
 
     exam: of the recording less its witnesses; direct: what single samples of the recording show, which is its
-    own. recordings: that recording, then its witnesses. differing: gives the sensors of one of them, by its
+    own. recordings: that recording, then its witnesses. differing: gives the residuals of one of them, by its
     place, less the mean of the rest. What each shows by itself is looked at where the vote is not sure.
     """
     own = {id(s.finding) for s in direct}
@@ -99,7 +99,7 @@ def owners_of(
     owned = vote([()] * len(recordings))
     if all(one.owner is not None for one in owned):
         return owned
-    return vote([findings_alone(one) for one in recordings])
+    return vote([_findings_alone(one) for one in recordings])
 
 
 def _having(recordings: Sequence[Recording], sensor: str) -> list[int]:
@@ -107,7 +107,7 @@ def _having(recordings: Sequence[Recording], sensor: str) -> list[int]:
     return [k for k, r in enumerate(recordings) if sensor != "gyro" or r.gyroscope is not None]
 
 
-def findings_alone(recording: Recording) -> list[Finding]:
+def _findings_alone(recording: Recording) -> list[Finding]:
     """Return what a recording shows by itself, at rest; nothing where it has too little of that."""
     try:
         return [s.finding for s in examined(recording).statements]

@@ -213,8 +213,7 @@ def shows_as_large(exam: Examination, found: Stated) -> bool:
     reduced = reduce_residuals(
         residuals, [there], [h for h in _stated(exam, residuals) if h.effect.name != effect.name]
     )
-    value = np.concatenate([np.ravel(found.finding.parameters[p.name].value) for p in effect.parameters])
-    size = value / there.sizes
+    size = found.sizes / there.sizes
     largest = there.axis_of == there.axis_of[int(np.argmax(np.abs(size)))]
     return _passes(reduced, there, size, ALL_AXES) or _passes(reduced, there, size * largest, ONE_AXIS)
 

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.rotation_alignment import LONGEST_GAP
+from stillcal.calib_core.diagnosis.model.rotation_alignment import throughout
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
@@ -94,8 +94,7 @@ def _turned(gyroscope: Samples | None, bins: Bins, i: int) -> tuple[Array, float
         return None
     start, end = bins.t[i] + bins.duration[i] / 2, bins.t[i + 1] - bins.duration[i + 1] / 2
     part = gyroscope.between(float(start), float(end))
-    times = np.concatenate([[start], part.t, [end]])
-    if len(part) < 2 or np.diff(times).max() > LONGEST_GAP:
+    if len(part) < 2 or not throughout(part.t, float(start), float(end)):
         return None
     rate = part.xyz - 0.5 * (bins.rate[i] + bins.rate[i + 1])
     angle = float(np.linalg.norm(np.gradient(part.t)[:, None] * rate, axis=1).sum())

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.earth import RATE, Ground
-from stillcal.calib_core.diagnosis.model.residuals import View, attitudes
+from stillcal.calib_core.diagnosis.model.residuals import View, attitudes, axis_view
 from stillcal.calib_core.diagnosis.model.turning_support import courses, turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
@@ -87,7 +87,6 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
     """
     if bins.rate is None or bins.rate_variance is None:
         return []
-    n = len(bins)
     rounding = np.zeros(3) if bins.rate_rounding is None else bins.rate_rounding
     lost = 1.0 - over.trust**2
     heading, place = 0.25 * RATE**2 * (1.0 - up**2) * lost[:, None], attitudes(up)
@@ -97,18 +96,14 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
     between, within = turning(bins, up, motion)
     course = courses(bins, within)
     linear = OF_ATTITUDE * RATE * up * np.sqrt(lost)[:, None]
+    variance = bins.rate_variance + (SHAPE_ERROR * motion) ** 2 + (within * up) ** 2
     return [
-        View(
-            name=f"rate_{'xyz'[a]}",
-            y=bins.rate[None, :, a],
-            baseline=np.ones((1, n, 1)),
-            variance=bins.rate_variance[:, a] + (SHAPE_ERROR * motion[:, a]) ** 2 + (within * up[:, a]) ** 2,
-            coupling=np.ones((n, n)),
-            project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
-            bins=np.arange(n),
-            t=bins.t,
-            duration=bins.duration,
-            rest=bins.rest,
+        axis_view(
+            "rate",
+            a,
+            bins,
+            bins.rate,
+            variance,
             shared=(
                 (bins.rest, np.sqrt(rounding[a] ** 2 + heading[:, a])),
                 (place, np.sqrt(heading[:, a])),

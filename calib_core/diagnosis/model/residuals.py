@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.records import AXES
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
 
 BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE = 0.5, 0.05, 0.03
@@ -77,6 +78,27 @@ class View:
         """Return values (n,) or (n, m), taken off what `nuisance` of block 0 and `explained` may do."""
         columns = np.hstack([self.nuisance(), *explained])
         return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
+
+
+def axis_view(name: str, axis: int, bins: Bins, y: Array, variance: Array, **other: Any) -> View:
+    """Return a view of one axis of a sensor, whose baseline is a constant that all bins share.
+
+    y, variance: (n, 3) residuals and white variance of all axes in the bins. other: further fields.
+    """
+    n = len(bins)
+    return View(
+        name=f"{name}_{AXES[axis]}",
+        y=y[None, :, axis],
+        baseline=np.ones((1, n, 1)),
+        variance=variance[:, axis],
+        coupling=np.ones((n, n)),
+        project=np.broadcast_to(np.eye(3)[axis], (1, n, 3)),
+        bins=np.arange(n),
+        t=bins.t,
+        duration=bins.duration,
+        rest=bins.rest,
+        **other,
+    )
 
 
 def attitudes(up: Array, angle: float = 0.2) -> Index:

@@ -156,7 +156,7 @@ def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int, rates: Rates) -> C
     part = gyroscope.between(start, end)
     if end - start > LONGEST_TURN or len(part) < 10:
         return None
-    if np.diff(part.t, prepend=start, append=end).max() > LONGEST_GAP:
+    if not throughout(part.t, start, end):
         return None
     if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
         return None
@@ -165,6 +165,11 @@ def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int, rates: Rates) -> C
         return None
     warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
     return Cut(i, part.t, rate, warm)
+
+
+def throughout(t: Array, start: float, end: float) -> bool:
+    """Whether samples at t (n,) s follow an attitude all the way from `start` to `end`, s."""
+    return bool(np.diff(t, prepend=start, append=end).max() <= LONGEST_GAP)
 
 
 def _angle(t: Array, rate: Array) -> float:

@@ -58,10 +58,15 @@ def turning(bins: Bins, up: Array, motion: Array) -> tuple[float, float]:
     if between == 0.0 and quick == 0.0:
         return 0.0, 0.0
     away = np.concatenate([rate[rows] - rate[rows].mean(axis=0) for rows in of])
-    about = np.einsum("na,na->n", away, up[np.concatenate(of)])
-    across = (float((away**2).sum()) - float((about**2).sum())) / 2.0
-    within = float(np.sqrt(max(float((about**2).sum()) - across, 0.0) / len(away)))
+    about, across = _powers(away, up[np.concatenate(of)])
+    within = float(np.sqrt(max(about - across, 0.0) / len(away)))
     return max(between, within), within
+
+
+def _powers(rates: Array, along: Array) -> tuple[float, float]:
+    """Return the sums of squares of rates (n, 3) along gravity (n, 3), and across it by component."""
+    about = float((np.einsum("na,na->n", rates, along) ** 2).sum())
+    return about, (float((rates**2).sum()) - about) / 2.0
 
 
 def _cosines(size: int) -> Array:
@@ -100,8 +105,7 @@ def _sure(y: Array, along: Array, known: Array, design: Array, rest: Index) -> f
         return 0.0
     flat = design.reshape(3 * n, free)
     left = y - (design @ np.linalg.lstsq(flat, y.ravel(), rcond=None)[0] if free else 0.0)
-    size, about = rms(left), float((np.einsum("na,na->n", left, along) ** 2).sum())
-    across = (float((left**2).sum()) - about) / 2.0
+    size, (about, across) = rms(left), _powers(left, along)
     if size == 0.0 or about < across * (1.0 + np.sqrt(3.0 / n)):  # one standard deviation of such a ratio
         return 0.0
     y, outer = y / size, along[:, :, None] * along[:, None, :]

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import copies
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
@@ -54,6 +55,13 @@ class Stated:
     finding: Finding
     hypothesis: Hypothesis | None = None
     residuals: SensorResiduals | None = None
+
+    @property
+    def sizes(self) -> Array:
+        """The linear parameters (k,) as they were found, SI."""
+        assert self.hypothesis is not None, "asked for with one only"
+        own = self.hypothesis.effect.parameters
+        return np.concatenate([np.ravel(self.finding.parameters[p.name].value) for p in own])
 
 
 def slow_findings(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Finding]:

@@ -12,7 +12,6 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.relinearised import sizes
 
 
 def nameless_tilt(findings: Sequence[Finding], gravity: float) -> float:
@@ -34,4 +33,4 @@ def beyond(tilt: float, stated: Sequence[Stated]) -> list[Stated]:
 def _moves(stated: Stated) -> float:
     """Return by how much an effect as it was found misses gravity, rad, rms over turns."""
     assert stated.hypothesis is not None, "a statement of turns has one"
-    return float(np.sqrt(2.0 * np.mean((stated.hypothesis.columns[0][0] @ sizes(stated)) ** 2)))
+    return float(np.sqrt(2.0 * np.mean((stated.hypothesis.columns[0][0] @ stated.sizes) ** 2)))

@@ -82,7 +82,7 @@ def about_effects(
     if not found:
         return list(stated)
     others = [s.hypothesis for s in stated if s.hypothesis is not None and s not in named]
-    values = [sizes(s) for s in named]
+    values = [s.sizes for s in named]
     estimates: list[Estimate] = []
     (affine, residuals), known = start, start[1]
     for _ in range(ROUNDS):
@@ -105,10 +105,3 @@ def _with_sizes(finding: Finding, found: Estimate) -> Finding:
     """Return a finding with the sizes of an estimate."""
     said = sentence(found, finding.axes, finding.alternatives)
     return replace(finding, parameters=parameters(found), statement=said)
-
-
-def sizes(stated: Stated) -> Array:
-    """Return the linear parameters (k,) of a finding, SI."""
-    assert stated.hypothesis is not None, "asked for with one only"
-    own = stated.hypothesis.effect.parameters
-    return np.concatenate([np.ravel(stated.finding.parameters[p.name].value) for p in own])

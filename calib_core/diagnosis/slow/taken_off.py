@@ -40,8 +40,7 @@ class Known:
                 continue
             effect, moments = hypothesis.effect, residuals.moments
             if effect.can_play(moments, hypothesis.grid):
-                sizes = [np.ravel(one.finding.parameters[p.name].value) for p in effect.parameters]
-                found.append(cls(effect, hypothesis.grid, moments, np.concatenate(sizes)))
+                found.append(cls(effect, hypothesis.grid, moments, one.sizes))
         return found
 
     def error(self, moments: Moments) -> Array:

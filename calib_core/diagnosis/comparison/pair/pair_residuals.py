@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
-from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View
+from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View, axis_view
 from stillcal.calib_core.diagnosis.model.sensor_residuals import EARTH
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.errors import NotSupported
@@ -89,20 +89,15 @@ def _views(
     bins: Bins, left: Array, variance: Array, inputs: tuple[Array, Array | None], moving: Array | None
 ) -> tuple[View, ...]:
     """Return the views of three axes. inputs: the true ones (n, 3), and what effects of turns added there."""
-    n, (true, added) = len(bins), inputs
-    roughly = np.zeros((n, 3)) if added is None else MODEL_ERROR * added
+    true, added = inputs
+    roughly = np.zeros((len(bins), 3)) if added is None else MODEL_ERROR * added
     return tuple(
-        View(
-            name=f"pair_{'xyz'[a]}",
-            y=left[None, :, a],
-            baseline=np.ones((1, n, 1)),
-            variance=variance[:, a],
-            coupling=np.ones((n, n)),
-            project=np.broadcast_to(np.eye(3)[a], (1, n, 3)),
-            bins=np.arange(n),
-            t=bins.t,
-            duration=bins.duration,
-            rest=bins.rest,
+        axis_view(
+            "pair",
+            a,
+            bins,
+            left,
+            variance,
             absorbed=np.column_stack([true * GAIN_SIZES[a], roughly[:, a]]),
             moving=moving,
         )
