@@ -66,12 +66,17 @@ def delay_quantity(exam: Examination) -> dict[Key, Quantity]:
     """Return the delay between the sensors as far as motion tells it, whether sound phones have it or not."""
     if exam.delay is None:
         return {}
-    key, samples, one = (DELAY, "timing"), exam.accelerometer, np.ones(1)
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "rate of turn")
-    return {key: Quantity(
-        *key, (Part("delay", "s", 1),), np.array([exam.delay.value]), np.array([[exam.delay.error**2]]),
+    one = of_delay(exam.delay, exam.accelerometer)
+    return {(one.effect, one.sensor): one}
+
+
+def of_delay(delay: Measured, samples: Samples) -> Quantity:
+    """Return a delay of the gyroscope against the accelerometer, s, as a quantity. samples: its own."""
+    one, where = np.ones(1), Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "rate of turn")
+    return Quantity(
+        DELAY, "timing", (Part("delay", "s", 1),), np.array([delay.value]), np.array([[delay.error**2]]),
         DELAY_SIZE * one, ALIKE_DELAY * one, np.array([-1]), where=where,
-    )}  # fmt: skip
+    )  # fmt: skip
 
 
 def stamp_quantities(exam: Examination) -> dict[Key, Quantity]:

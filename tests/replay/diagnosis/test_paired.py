@@ -246,6 +246,15 @@ def test_a_delay_a_filter_and_a_limit_are_found_put_in_and_gone(
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
 
 
+def test_a_delay_of_the_simulation_alone_is_its_own() -> None:
+    """Its own turns show it, so it is to be taken out, and nothing is to be added to make it good."""
+    sim = with_rate(turned(2), lambda rate: read_later(rate, 0.03))
+    (said,) = judge_paired(turned(1), sim).answer["findings"]
+    assert (said["effect"], said["relation"]) == ("accel_gyro_time_offset", "superfluous")
+    low, high = said["simulated"]["delay"]["ci95"]
+    assert low <= 0.03 <= high
+
+
 def test_other_stamps_are_refused_with_the_first_that_differs() -> None:
     real, other = recording(1), recording(2, name="sim.csv")
     t = other.accelerometer.t.copy()

@@ -167,14 +167,20 @@ def aligned(true: Samples, found: Late | None) -> Samples:
     return true if found is None or not found.by_axis.any() else read_later(true, found.by_axis)
 
 
-def delays_between(force: Late, rate: Late, samples: Samples, unsure: float = 0.0) -> list[Finding]:
-    """Return a delay of the gyroscope against the accelerometer that the other does not have.
+def delay_between(force: Late, rate: Late, unsure: float = 0.0) -> Measured:
+    """Return by how much later the gyroscope reads against the accelerometer than the other's does, s.
 
-    samples: of the recording, whose span and rate it is; unsure: s, a standard error that it has besides. A
-    delay of both alike is one of the stamps. Where the axes of a sensor have none in common, that is said.
+    unsure: s, a standard error that it has besides. A delay of both alike is one of the stamps.
     """
     error = float(np.linalg.norm([rate.delay.error, force.delay.error, unsure]))
-    delay = Measured(rate.delay.value - force.delay.value, error)
+    return Measured(rate.delay.value - force.delay.value, error)
+
+
+def found_delays(delay: Measured, force: Late, rate: Late, samples: Samples) -> list[Finding]:
+    """Return a delay between the sensors that the other does not have. samples: whose span and rate it is.
+
+    Where the axes of a sensor have none in common, that is said.
+    """
     clearer = max((force, rate), key=lambda one: abs(one.delay.value) / one.delay.error)
     where = Where(
         float(samples.t[0]), float(samples.t[-1]), (0.1, 0.5 / sample_period(samples.t)), "rate of turn"

@@ -14,12 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.direct import of_delay
 from stillcal.calib_core.diagnosis.comparison.linear import effect_quantity
 from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     COMMON,
     Late,
     aligned,
-    delays_between,
+    delay_between,
+    found_delays,
     late,
     linear_in_motion,
 )
@@ -143,8 +145,11 @@ def align(own: Readings, other: Readings, unsure: float = 0.0, at_rest: Array | 
     none = Readings(_nothing(true.force), true.rate and _nothing(true.rate))
     whole = Alignment(true, none, [], [], frozenset())
     if force is not None and rate is not None:
-        delays = delays_between(force, rate, own.force, unsure)
-        whole = replace(whole, found=[Stated(f) for f in delays], sought=frozenset({(DELAY, "timing")}))
+        delay = delay_between(force, rate, unsure)
+        found = found_delays(delay, force, rate, own.force)
+        numbers = [of_delay(delay, own.force) for f in found if f.effect == DELAY]
+        sought = frozenset({(DELAY, "timing")})
+        whole = replace(whole, found=[Stated(f) for f in found], quantities=numbers, sought=sought)
     if force is not None:
         whole = _with_effects(whole, own.force, true, force, at_rest)
     if rate is not None and own.rate is not None:

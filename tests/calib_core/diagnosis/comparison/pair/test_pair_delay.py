@@ -9,11 +9,14 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     LEAST_PIECES,
     PIECES,
+    Late,
     _moving,
     aligned,
-    delays_between,
+    delay_between,
+    found_delays,
     late,
 )
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turned_pairs import RATE, turned
 
@@ -32,6 +35,11 @@ def shaken(
     )
 
 
+def found_between(force: Late, rate: Late, samples: Samples) -> list[Finding]:
+    """Return the delays that are found between two sensors."""
+    return found_delays(delay_between(force, rate), force, rate, samples)
+
+
 @pytest.mark.parametrize("delay", [0.007, -0.024])
 def test_a_delay_is_measured_beside_a_wrong_scale_and_taken_out(delay: float) -> None:
     own, true = shaken(delay, 2, np.eye(3) + 0.02), shaken()
@@ -47,7 +55,7 @@ def test_without_a_delay_nothing_is_said_and_nothing_moved() -> None:
     true = shaken()
     found = late(shaken(0.0, 2), true, "gyro")
     assert found is not None and aligned(true, found) is true
-    assert delays_between(found, found, true) == []
+    assert found_between(found, found, true) == []
 
 
 def test_readings_that_are_exactly_alike_have_no_delay() -> None:
@@ -61,10 +69,10 @@ def test_readings_that_are_exactly_alike_have_no_delay() -> None:
 
 def test_what_both_sensors_are_late_by_is_none_between_them() -> None:
     true, late_one = shaken(), late(shaken(0.01, 2), shaken(), "gyro")
-    assert late_one is not None and delays_between(late_one, late_one, true) == []
+    assert late_one is not None and found_between(late_one, late_one, true) == []
     prompt = late(shaken(0.0, 3), true, "gyro")
     assert prompt is not None
-    (said,) = delays_between(prompt, late_one, true)
+    (said,) = found_between(prompt, late_one, true)
     assert said.effect == "accel_gyro_time_offset"
     low, high = np.asarray(said.parameters["delay"].ci95, dtype=np.float64)
     assert low < 0.01 < high
