@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, Held
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
 from stillcal.calib_core.diagnosis.noise.line_estimate import CLOCK, SIGNIFICANT, peak, vibration
-from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, lines
+from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, ZEROS, faint_lines
 from stillcal.calib_core.diagnosis.noise.steady_segments import Places, Stretches
 from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms
@@ -28,6 +28,9 @@ NEVER = 0.49
 
 FINE = 0.1
 """Steps of the frequency's fit, in what the whole recording tells apart."""
+
+EDGE = 0.025
+"""Weight of all tapers together, below which a rest begins or ends: one second of 20, as hands let go."""
 
 
 def coherent_line(
@@ -39,12 +42,13 @@ def coherent_line(
     between: Hz, outside which none is.
     """
     rests = _Rests.of(places, seen)
-    told = np.stack([lines(axis) for axis in rests.series.T], axis=1)
+    told = np.stack([faint_lines(axis, rests.recorded) for axis in rests.series.T], axis=1)
     f = np.arange(len(told)) * (rests.rate / (2 * (len(told) - 1)))
+    edge = round(ZEROS * ASIDE / rests.recorded)
     free = (f > between[0]) & (f < min(between[1], NEVER * rests.rate))
     for frequency in known:
         free &= np.abs(f - frequency) > OWN * float(seen.f[1])
-    free[:ASIDE] = free[-ASIDE:] = False
+    free[:edge] = free[-edge:] = False
     if not free.any():
         return None
     nats, k = _clearest(told, np.flatnonzero(free))
@@ -75,17 +79,21 @@ def _clearest(told: Array, at: Index) -> tuple[float, int | None]:
 class _Rests:
     """All stretches in their places as one series, each weighed by its noise.
 
-    Under the square of their taper those that overlap by half add up to the recording itself.
+    Each sample counts as one, shared by the stretches that hold it: under their tapers alone a rest no longer
+    than one of them would count for half.
 
-    rate: Hz; series: (N, 3); first: (S,) rows where stretches begin; weight: (S, 3) of each one's values, the
-    usual one 1; noise: (S, 3) variance of a sample.
+    rate: Hz; series: (N, 3); recorded: the part of it in stretches; first: (S,) rows where stretches begin;
+    weight: (S, 3) of each one's values, the usual one 1; noise: (S, 3) variance of a sample; share: (S, n)
+    what of a tapered value is its stretch's.
     """
 
     rate: float
     series: Array
+    recorded: float
     first: Index
     weight: Array
     noise: Array
+    share: Array
 
     @classmethod
     def of(cls, places: Places, seen: Stretches) -> _Rests:
@@ -95,22 +103,34 @@ class _Rests:
         least = max(SILENT * float(seen.power.max()), 1e-300)
         noise = np.maximum(power, least) / (seen.taper**2).sum(axis=1)[:, None]
         weight = np.median(noise, axis=0) / noise
-        series = np.zeros((places.t.size, 3))
-        for row, (a, n) in enumerate(zip(first, seen.length, strict=True)):
-            series[a : a + n] += weight[row] * (seen.taper[row, :n, None] * seen.tapered[row, :n])
+        within = [slice(a, a + n) for a, n in zip(first, seen.length, strict=True)]
+        cover, series, share = (
+            np.zeros(places.t.size),
+            np.zeros((places.t.size, 3)),
+            np.zeros_like(seen.taper),
+        )
+        for row, at in enumerate(within):
+            cover[at] += seen.taper[row, : seen.length[row]] ** 2
+        for row, (at, n) in enumerate(zip(within, seen.length, strict=True)):
+            share[row, :n] = seen.taper[row, :n] / np.maximum(cover[at], EDGE)
+            series[at] += weight[row] * (share[row, :n, None] * seen.tapered[row, :n])
         rate = (places.t.size - 1) / float(places.t[-1] - places.t[0])
-        return cls(rate, series, first, weight, noise)
+        return cls(rate, series, float(np.mean(cover > EDGE)), first, weight, noise, share)
 
     def sums(self, seen: Stretches, frequency: float) -> Array:
         """Return the sums (S, 3) of each stretch's values, turned back by a frequency, Hz."""
         by_place = -2j * np.pi * frequency / self.rate
         turned = np.exp(by_place * np.arange(seen.tapered.shape[1]))
-        there = np.einsum("n,sn,sna->sa", turned, seen.taper, seen.tapered)
+        there = np.einsum("n,sn,sna->sa", turned, self.share, seen.tapered)
         return np.asarray(np.exp(by_place * self.first)[:, None] * there)
 
     def of_sums(self, seen: Stretches) -> Array:
         """Return the variance (S, 3) that noise has in these sums."""
-        return np.asarray(self.noise * (seen.taper**4).sum(axis=1)[:, None])
+        return np.asarray(self.noise * ((self.share * seen.taper) ** 2).sum(axis=1)[:, None])
+
+    def of_line(self, seen: Stretches) -> Array:
+        """Return the sums (S, 1) of a line of amplitude 1."""
+        return np.asarray((self.share * seen.taper).sum(axis=1)[:, None] / 2.0)
 
 
 def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: float) -> Finding | None:
@@ -128,7 +148,7 @@ def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: floa
     aside = np.arange(OWN + 1, OWN + ASIDE + 1) * step
     about = whole(off + np.concatenate([-aside, aside])).mean(axis=0)
     floor = np.maximum(about, max(SILENT * float(power.max()), 1e-300))
-    length = (rests.weight * (seen.taper**2).sum(axis=1)[:, None]).sum(axis=0) / 2.0
+    length = (rests.weight * rests.of_line(seen)).sum(axis=0)
     amplitude, scatter = np.sqrt(np.maximum(power - floor, 0.0)) / length, np.sqrt(floor / 2.0) / length
     axes = [a for a in range(3) if amplitude[a] > SIGNIFICANT * scatter[a]] or [int(np.argmax(amplitude))]
     # Cramer and Rao's bound of a sine's frequency, by how far it stands above the noise.
@@ -141,7 +161,7 @@ def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: floa
 
 def _left_out(sums: Array, rests: _Rests, seen: Stretches) -> HeldOut:
     """Predict the sums (S, 3) of stretches left out by the line that the others have."""
-    length = (seen.taper**2).sum(axis=1)[:, None] / 2.0
+    length = rests.of_line(seen)
     noise = rests.of_sums(seen)
     fold, gain = blocks(len(sums)), 0.0
     before, after = [], []

@@ -13,7 +13,7 @@ from scipy.special import ive
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise import spectral_line
-from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER, scaled_bessel
+from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER, middle_hz, scaled_bessel
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -65,6 +65,14 @@ def test_the_bessel_function_from_a_table_is_that_of_its_order() -> None:
     x = np.geomspace(1e-6, 1e8, 300)
     assert np.allclose(scaled_bessel(x), ive(2, x), rtol=1e-12, atol=0.0)
     assert scaled_bessel(np.zeros(1)) == 0.0
+
+
+def test_of_faint_lines_of_40_nats_most_are_found() -> None:
+    """By the matched filter in white noise: a^2 n / (4 sigma^2), of which the search costs some 22."""
+    n = 20000
+    line = humming({17.3: 2.0 * NOISE * float(np.sqrt(40.0 / n))})
+    found = [[round(middle_hz(f), 1) for f in tones(lying(line, seed)[:n], "accel")] for seed in range(8)]
+    assert found.count([17.3]) >= 6
 
 
 @pytest.mark.parametrize("amplitude", [0.004, 0.03, 1.0])
