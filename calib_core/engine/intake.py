@@ -30,6 +30,12 @@ _SLACK_S = 60.0
 A rest is reported only once its last window was judged, which waits up to max_lag_s (30 s by default)."""
 
 
+ACCEL_PATIENCE_S = 600.0
+"""s: where the gyroscope has gone on alone for so long, the accelerometer is no longer waited for."""
+
+LONGEST_STEP_S = 1.0
+"""s: a longer step between samples is a pause, of which so much counts."""
+
 MAX_MOVES = 64
 """Places of late that are remembered: a rest in which more were told has no one gravity."""
 
@@ -69,13 +75,25 @@ class Intake:
     def known_until(self) -> float:
         """Return the time (s) up to which both streams are known; -inf before the first sample.
 
-        A gyroscope that lags by more than its patience is no longer waited for.
+        A sensor that lags by more than its patience is no longer waited for.
         """
         state = self._state
         accel = state.latest.get(Sensor.ACCELEROMETER, -math.inf)
         gyro = state.latest.get(Sensor.GYROSCOPE, -math.inf)
         known = max(min(accel, gyro), accel - self._settings.schedule.gyro_patience_s)
+        if self._gyroscope_alone_s(accel) > ACCEL_PATIENCE_S:
+            known = max(known, gyro - ACCEL_PATIENCE_S)
         return known if state.heard is None else max(known, state.heard)
+
+    def _gyroscope_alone_s(self, accel: float) -> float:
+        """Return how long the gyroscope has gone on after `accel` (s), the accelerometer's newest stamp, s.
+
+        Pauses are left out: after a night asleep either sensor may be the first to wake.
+        """
+        waiting = self._state.waiting.get(Sensor.GYROSCOPE)
+        if waiting is None or waiting.t[-1] - max(accel, waiting.t[0]) <= ACCEL_PATIENCE_S:
+            return 0.0
+        return float(np.minimum(np.diff(waiting.t[waiting.t > accel]), LONGEST_STEP_S).sum())
 
     def look(self, stop: float) -> None:
         """Pass the samples before `stop` (s) to the detector and gather the rests that it returns."""

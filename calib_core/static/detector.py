@@ -40,6 +40,9 @@ _FIRST_EPOCH, _LAST_EPOCH = BLOCK, 64 * BLOCK
 """Cells between renewals of the noise floors: 4 s at first, so that a floor is known soon, and doubling up to
 four minutes, far below the half-life of what the floor remembers."""
 
+_MOST_ALONE = 4096
+"""Cells of the gyroscope that wait for the accelerometer's: 34 minutes. Of more, the oldest are dropped."""
+
 
 @dataclass(slots=True)
 class DetectorState:
@@ -117,6 +120,7 @@ class StationaryDetector:
         for block in blocks:
             self._take(block, counted)
         self._advance(self._horizon())
+        self._state.gyro.rows = self._state.gyro.rows[-_MOST_ALONE:]
         return self._gatherer.take_rests()
 
     def finish(self) -> list[RestState]:
