@@ -48,6 +48,9 @@ LABELS = (
 )
 STILL, GAPPED, SPARSE, IMPLAUSIBLE, FROZEN, ACCEL_MOVING, GYRO_MOVING = range(7)
 
+MANY_CODES = 8.0
+"""Steps of the quantiser: where one axis of a sensor has a wider range, noise moves the others too."""
+
 Codes = NDArray[np.int8]
 Flags = NDArray[np.bool_]
 
@@ -105,19 +108,28 @@ class Coarseness:
         return Coarseness(self.few * decay + self.fresh_few, self.many * decay + self.fresh_many, lsb)
 
 
+def stuck(rows: Array) -> Flags:
+    """Tell in which rows (n, COLUMNS) one axis shows one value while another one shows many, (n,)."""
+    holds = rows[:, D2] == 0
+    many = ~holds & (rows[:, HIGH] - rows[:, LOW] > MANY_CODES * rows[:, LSB])
+    return np.asarray(holds.any(axis=1) & many.any(axis=1))
+
+
 @dataclass(slots=True)
 class SensorWindows:
     """What one sensor's windows show, whatever the noise floor; (n,) each.
 
     rows: (n, COLUMNS). spread: standard deviation of single samples, SI. rates: octave of the sampling rate.
-    constant: no value changed. few: few codes on every axis. sparse: too few samples. quantisation_allowance:
-    variance that rounding may add where there are few codes, SI squared.
+    constant: no value changed. stuck: one axis did not change while another had many codes. few: few codes
+    on every axis. sparse: too few samples. quantisation_allowance: variance that rounding may add where there
+    are few codes, SI squared.
     """
 
     rows: Array
     spread: Array
     rates: NDArray[np.intp]
     constant: Flags
+    stuck: Flags
     few: Flags
     sparse: Flags
     quantisation_allowance: Array
@@ -134,14 +146,16 @@ class SensorWindows:
         constant = across(rows[:, D2]) == 0
         few = narrow[:, 0] & narrow[:, 1] & narrow[:, 2] & ~constant
         scarce = sparse(rows, settings.min_samples)
-        return cls(rows, spread(rows), rate_class(rate), constant, few, scarce, quantisation_allowance)
+        return cls(
+            rows, spread(rows), rate_class(rate), constant, stuck(rows), few, scarce, quantisation_allowance
+        )
 
     @classmethod
     def absent(cls, rows: Array) -> SensorWindows:
         """Return the windows of a sensor that is not there: no sample, no change."""
         n = rows.shape[0]
         none, yes, no = np.zeros(n), np.ones(n, dtype=bool), np.zeros(n, dtype=bool)
-        return cls(rows, none, np.zeros(n, dtype=np.intp), yes, no, yes, none)
+        return cls(rows, none, np.zeros(n, dtype=np.intp), yes, no, no, yes, none)
 
     @classmethod
     def joined(cls, parts: Sequence[SensorWindows]) -> SensorWindows:
@@ -174,7 +188,7 @@ class Windows:
         gyro_rows = rows[:, COLUMNS:]
         unusable = gyro_rows[:, GAP] > longest_pause(gyro_rows, window, settings.gap_s)
         unusable |= sparse(gyro_rows, settings.min_samples)
-        gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0)] = 0.0
+        gyro_rows[unusable | (across(gyro_rows[:, D2]) == 0) | stuck(gyro_rows)] = 0.0
         return cls(rows, SensorWindows.of(rows[:, :COLUMNS], settings), SensorWindows.of(gyro_rows, settings))
 
     @classmethod
@@ -207,7 +221,7 @@ def classify(
         accel.rows[:, GAP] > longest_pause(accel.rows, settings.window_s, settings.gap_s),
         accel.sparse,
         (norm < settings.force_low) | (norm > settings.force_high),
-        accel.constant & (not coarse),
+        accel.stuck | (accel.constant & (not coarse)),
         accel.exceeds(floors[0], settings.accel_factor, settings.accel_ceiling),
         windows.gyro.exceeds(floors[1], settings.gyro_factor, settings.gyro_ceiling),
     ]

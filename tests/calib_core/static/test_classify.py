@@ -79,7 +79,7 @@ def test_a_quiet_window_is_still_with_and_without_a_gyroscope():
         (rows(mean=(3, 0, 4)), rows(mean=(3 - 1e-9, 0, 4)), Label.IMPLAUSIBLE),
         (rows(mean=(9, 12, 0)), rows(mean=(9, 12 + 1e-9, 0)), Label.IMPLAUSIBLE),
         (rows(mean=(-9, 0, -12)), rows(mean=(-9 - 1e-9, 0, -12)), Label.IMPLAUSIBLE),
-        (rows(d2=(0, 0, 1e-9)), rows(d2=0), Label.FROZEN),
+        (rows(d2=(0, 0, 1e-9), lsb=0.25), rows(d2=0), Label.FROZEN),
         (rows(sd=0.02 * (1 - 1e-9)), rows(sd=0.02 * (1 + 1e-9)), Label.ACCEL_MOVING),
     ],
 )
@@ -125,6 +125,17 @@ def test_repeats_are_frozen_unless_the_sensor_is_known_to_be_coarse():
     assert one(rows(), coarse=True) is Label.STILL
 
 
+def test_an_axis_that_holds_one_value_while_another_shows_many_codes_is_frozen():
+    """Eight steps of the quantiser, 0.125, may come of a noise that the other axes do not show."""
+    one_axis = {"d2": (1e-4, 0.0, 1e-4), "lsb": (0.125, np.inf, 0.125), "low": 0.0}
+    assert one(rows(**one_axis, high=UP(1.0, 2))) is Label.FROZEN
+    assert one(rows(**one_axis, high=UP(1.0, 2)), coarse=True) is Label.FROZEN
+    assert one(rows(**one_axis, high=1.0)) is Label.STILL
+    for high, used in ((1.0, 25), (UP(1.0, 2), 0)):
+        windows = Windows.of(rows(), quiet_gyro(**one_axis, high=high), np.ones(1, int), SETTINGS)
+        assert windows.gyro.rows[0, N] == used
+
+
 @pytest.mark.parametrize("axes", [(0, 1, 2), (1,)])
 def test_half_a_step_is_allowed_on_axes_that_show_three_codes_at_most(axes):
     """Rounding to steps of 0.1: the floor and half a step add up in squares, averaged over the axes."""
@@ -152,7 +163,7 @@ def test_an_allowance_never_lifts_the_ceiling():
         ({"gap": UP(0.3, 1)}, False),
         ({"samples": 4}, True),
         ({"samples": 3}, False),
-        ({"d2": (0, 1e-12, 0)}, True),
+        ({"d2": (0, 1e-12, 0), "lsb": 0.25}, True),
         ({"d2": 0}, False),
     ],
 )
