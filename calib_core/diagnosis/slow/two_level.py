@@ -20,16 +20,19 @@ FLIPS = 200
 LEAST_LEFT = 0.02
 SHARES = (0.4, 1.0)
 """Parts of their price that switches pay at first, so that a course may grow, and at last."""
+SWEEPS = 3
+"""Times that every switch is placed within its bin, the others where they were placed before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TwoLevelPath:
-    """Changes (n,) of level, +1, 0 or -1, at each of n borders; switches: how many.
+    """Changes (n,) of level at each of n borders; switches: how many.
 
+    A switch is a change of +1 or -1, or shared by two borders where it came within the bin between them.
     log_trials: log of the number of courses that it was chosen from.
     """
 
-    changes: NDArray[np.int64]
+    changes: Array
     switches: int
     log_trials: float
 
@@ -58,7 +61,8 @@ def grown(gram: Array, target: Array, power: float, first: int, last: int) -> Tw
     switches = int(np.abs(changes[:n]).sum())
     if not FEWEST <= switches <= MOST:
         return None
-    return TwoLevelPath(changes[:n], switches, float(prices[switches]))
+    placed, paid = _within_bins(gram, target, changes[:n])
+    return TwoLevelPath(placed, switches, float(prices[switches]) + paid)
 
 
 def _prices(n: int) -> Array:
@@ -69,7 +73,7 @@ def _prices(n: int) -> Array:
     return np.asarray(ways + np.log(np.maximum(np.arange(ways.size), 1)))
 
 
-def _amplitude(gram: Array, target: Array, changes: NDArray[np.int64]) -> Array:
+def _amplitude(gram: Array, target: Array, changes: NDArray[np.int64] | Array) -> Array:
     """Return the most probable difference (3,) of the levels."""
     at = np.flatnonzero(changes)
     signs = changes[at].astype(float)
@@ -101,6 +105,56 @@ def _best_flip(
     best = int(np.argmax(gain))
     a, b = divmod(best, n)
     return (a, b + 1) if gain[a, b] > 1e-6 else None
+
+
+def _within_bins(gram: Array, target: Array, changes: NDArray[np.int64]) -> tuple[Array, float]:
+    """Return changes whose switches come within a bin where that is likelier, and what they pay for it, nats.
+
+    The mean of such a bin lies between both levels. Taken for one of them it would be an outlier, and a
+    wander that follows outliers also takes up a part of each switch: the levels would seem less far apart.
+    """
+    at = np.flatnonzero(changes)
+    places, signs, n = at.astype(float), changes[at], len(changes)
+    # Two switches at neighbouring borders share the bin between them, and stay where they are.
+    alone = [j for j, i in enumerate(at) if np.count_nonzero(changes[max(i - 1, 0) : i + 2]) == 1]
+    placed, paid = changes.astype(float), np.zeros(at.size)
+    for _ in range(SWEEPS):
+        size = _amplitude(gram, target, placed)
+        products, pull = size @ (gram @ size), target @ size
+        for j in alone:
+            others = placed - signs[j] * _step(places[j], n)
+            left = signs[j] * (pull - products @ others)
+            places[j], paid[j] = _likeliest(products, left, int(at[j]))
+            placed = others + signs[j] * _step(places[j], n)
+    return placed, float(paid.sum())
+
+
+def _step(place: float, n: int) -> Array:
+    """Return a step as a sum of those at n borders: shared by two of them where it comes between these."""
+    before = int(place)
+    out = np.zeros(n)
+    out[before : before + 2] = [1.0 - (place - before), place - before][: n - before]
+    return out
+
+
+def _likeliest(products: Array, pull: Array, border: int) -> tuple[float, float]:
+    """Return the place of a step at a border or within one of its two bins, and what it pays for that, nats.
+
+    products: (n, n) of steps at the borders; pull: (n,) of these with what other steps leave of the data. A
+    place pays for the number of places in a bin that the data tell apart (Laplace).
+    """
+    place, paid, most = float(border), 0.0, 0.0
+    for near in (border - 1, border + 1):
+        if not 0 <= near < len(pull):
+            continue
+        own, both, other = products[border, border], products[border, near], products[near, near]
+        steep, curved = pull[near] - pull[border] - both + own, own - 2.0 * both + other
+        share = min(max(steep / curved, 0.0), 1.0) if curved > 0.0 else 0.0
+        price = 0.5 * np.log(max(curved / (2.0 * np.pi), 1.0))
+        gain = share * steep - 0.5 * share**2 * curved - price
+        if gain > most:
+            place, paid, most = border + share * (near - border), price, gain
+    return place, paid
 
 
 def _flipped(changes: NDArray[np.int64], a: int, b: int) -> NDArray[np.int64]:
