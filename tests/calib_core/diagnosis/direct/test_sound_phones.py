@@ -20,16 +20,24 @@ from stillcal.replay.formats.hhar_still import recordings
 WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
 
 
-def unequal(sensor: str, ratio: Sequence[float], seed: int = 0) -> list[Finding]:
+def unequal(sensor: str, ratio: Sequence[float], seed: int = 0, claim: float | None = None) -> list[Finding]:
     noise = np.random.default_rng(seed).normal(size=(20, 1000, 3)) * np.asarray(ratio)
     seen = judged(Quiet(tuple(noise), tuple(10.0 * np.arange(20)), 100.0))
     assert seen is not None
-    return noise_level.noise_findings(sensor, noise_level.levels(seen), None, sound_phones(), WHERE)
+    return noise_level.noise_findings(sensor, noise_level.levels(seen), claim, sound_phones(), WHERE)
 
 
 def test_z_of_an_accelerometer_is_louder_and_that_is_sound() -> None:
     for z in (1.0, 1.25, 1.5, 1.7):
         assert unequal("accel", (1.0, 1.0, z)) == [], z
+
+
+def test_a_declared_density_is_of_no_axis_by_itself() -> None:
+    """Of five real gyroscopes two have an x axis a quarter and a third louder than y; a fifth is no fault."""
+    claim = 1.05 * np.sqrt(2.0 / 100.0)
+    assert unequal("gyro", (1.17, 0.98, 1.03), claim=claim) == []
+    found = unequal("gyro", (1.0, 1.4, 1.0), claim=claim)
+    assert [f.axes for f in found if f.effect == "noise_unequal_axes"] == [["y"]]
 
 
 @pytest.mark.parametrize(
