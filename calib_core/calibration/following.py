@@ -21,6 +21,7 @@ from stillcal.calib_core.calibration.acceptance import (
     beyond_doubt,
     clearly_smaller,
     flipped_share,
+    stated_uncertainty,
     sums_by_block,
 )
 from stillcal.calib_core.calibration.bias_curve import (
@@ -53,6 +54,9 @@ STEP_S = 12 * BLOCK_S
 
 LARGEST_KNOCK = 0.5 * STANDARD
 """m/s^2, by axis: ten times the zero offset of data sheets (40 mg, Bosch BMI160)."""
+
+LEAST_KNOWN = 0.25
+"""m/s^2: what leaves gravity less certain over all directions is no calibration (see max_prior_sd)."""
 
 _BAD_SHARE = 0.2
 """Share of the rests since a step that may be bad ones. Another phone's scale leaves more that disagree."""
@@ -132,6 +136,8 @@ def follow_accelerometer(
     learnt = learn_accelerometer(memory, part.model, in_use, t, settings)
     if learnt is None or learnt.covariance is None:
         return None
+    if not _shows_calibration(part, learnt, memory):
+        return Followed(with_learnt_forecast(accepted, learnt), False)
     reason, evidence = _accepted(accepted, part, learnt, memory, settings, degraded=degraded, fresh=fresh)
     if not reason and not fresh:
         reason, evidence = _stepped(accepted, part, learnt, memory, t)
@@ -147,6 +153,17 @@ def follow_accelerometer(
     following = Acceptance(how="following", reason=why, evidence={"gain": gain})
     followed = replaced(t=record.fitted_at, acceptance=following)
     return Followed(_checked_as(followed, part), False, accepted)
+
+
+def _shows_calibration(part: AccelerometerRecord, learnt: Learnt, memory: Memory) -> bool:
+    """Tell whether what was learnt is a calibration: rests that contradict each other show none."""
+    try:
+        stated = stated_uncertainty(_part(part, learnt, memory))
+    except ValueError:  # its scale is no sensor's
+        return False
+    missed = float(np.median(learnt.errors[learnt.t >= max(learnt.steps, default=-np.inf)]))
+    knocked = np.abs(learnt.bias - part.bias).max() <= LARGEST_KNOCK
+    return stated is not None and max(stated, missed) <= LEAST_KNOWN and bool(knocked)
 
 
 def _checked_as(record: CalibrationRecord, part: AccelerometerRecord) -> CalibrationRecord:
@@ -190,9 +207,12 @@ class _HeldOut:
 def _held_out(
     record: CalibrationRecord, part: AccelerometerRecord, learnt: Learnt, memory: Memory
 ) -> _HeldOut:
-    """Compare a calibration in use with what is learnt, on the rests since it was fitted."""
+    """Compare a calibration in use with what is learnt, on the rests since it was fitted.
+
+    Rests before the bias stepped say nothing of what holds after it.
+    """
     since = -np.inf if record.fitted_at is None else record.fitted_at
-    held_out = learnt.t > since
+    held_out = (learnt.t > since) & (learnt.t >= max(learnt.steps, default=-np.inf))
     old, new = np.abs(_residuals(record, part, memory))[held_out], learnt.errors[held_out]
     gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
     _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)
@@ -239,12 +259,11 @@ def _stepped(
     """Return why the learnt calibration replaces the one in use after a step of its bias.
 
     Few rests suffice where they leave no doubt. Each is predicted from those before it. A bias that steps
-    again and again, or by more than LARGEST_KNOCK, or after which rests disagree with each other, is not that
-    of a phone that was knocked: for such a one a full calibration has to be found.
+    again and again, or after which rests disagree with each other, is not that of a phone that was knocked:
+    for such a one a full calibration has to be found.
     """
     steps = [step for step in learnt.steps if t - step <= STEP_S]
-    knocked = np.abs(learnt.bias - part.bias).max() <= LARGEST_KNOCK
-    if not steps or max(steps) - min(steps) > BLOCK_S or not knocked:
+    if not steps or max(steps) - min(steps) > BLOCK_S:
         return "", {}
     stepped = max(steps)
     since = stepped if record.fitted_at is None else max(stepped, record.fitted_at)

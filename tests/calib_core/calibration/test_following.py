@@ -419,6 +419,44 @@ def test_a_large_knock_is_followed_within_hours() -> None:
     assert max(off_by(record, 19.0, knock), off_by(record, 31.0, knock)) < 1.0
 
 
+BREAKS: dict[str, Callable[[RestState], Array]] = {
+    "z reads 0": lambda rest: rest.specific_force * [1.0, 1.0, 0.0],
+    "x is inverted": lambda rest: rest.specific_force * [-1.0, 1.0, 1.0],
+    "scale grows": lambda rest: rest.specific_force * 1.03,
+    "scale is noise": lambda rest: rest.specific_force * (1.0 + 0.1 * np.sin(rest.t_start * np.arange(1, 4))),
+}
+
+
+@pytest.mark.parametrize("broken", BREAKS)
+@pytest.mark.parametrize("seed", [1, 4])
+def test_what_three_rests_after_a_break_fit_exactly_is_no_calibration(broken: str, seed: int) -> None:
+    """Three rests show three axes of a step, right or wrong: nothing is left to test it."""
+    rests = lived(7.0, seed=seed, slopes=0.0)
+    late = [
+        structs.replace(r, specific_force=frozen(BREAKS[broken](r))) for r in rests if r.t_start >= 6 * HOUR
+    ]
+    memory = remembered([*(r for r in rests if r.t_start < 6 * HOUR), *late])
+    record = accelerometer_record(sd=0.1 * MG)
+    followed = follow_accelerometer(record, memory, 7 * HOUR, SETTINGS, degraded=True)
+    assert followed is not None and followed.record.accelerometer is record.accelerometer
+    stated = followed.record.bias_uncertainty_at(ACCEL, 7 * HOUR, 25.0)
+    assert stated is not None and stated.max() > 0.1
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_rests_that_contradict_each_other_replace_no_calibration(seed: int) -> None:
+    """The z of an accelerometer reads 0 after six hours: no bias and no scale makes its rests agree."""
+    record = accelerometer_record(sd=0.1 * MG)
+    for hour in (9, 11):
+        rests = lived(hour, seed=seed, slopes=0.0)
+        late = [
+            structs.replace(r, specific_force=BREAKS["z reads 0"](r)) for r in rests if r.t_start >= 6 * HOUR
+        ]
+        memory = remembered([*(r for r in rests if r.t_start < 6 * HOUR), *late])
+        followed = follow_accelerometer(record, memory, hour * HOUR, SETTINGS, degraded=True)
+        assert followed is not None and followed.record.accelerometer is record.accelerometer
+
+
 def test_one_bad_rest_is_no_knock() -> None:
     rests = lived(36.0)
     bad = next(k for k, r in enumerate(rests) if r.t_start > 30.5 * HOUR)
