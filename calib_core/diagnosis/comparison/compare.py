@@ -162,7 +162,7 @@ def _sides(
     sides = [_quantities(exam, own, reference, about) for exam, own in asked]
     for sensor, at in crossing_temperatures(sides, reference).items():
         crossed = [linear_quantities(exam, own, reference | {sensor: at}, about) for exam, own in asked]
-        if all(_agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
+        if all(agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
             sides, reference = _with_those_of(sensor, sides, crossed), reference | {sensor: at}
     for sensor in sorted({w.hypothesis.effect.sensor for w in wanted[1] if SETTLED in w.grid}):
         later = [linear_quantities(exam, [*map(settled, own)], reference, about) for exam, own in asked]
@@ -188,7 +188,7 @@ def _apart(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> float:
     return -np.inf if one is None or other is None else subtract(one, other).log_bayes_factor
 
 
-def _agree(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> bool:
+def agree(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> bool:
     """Whether two recordings are not sure to differ in a quantity that both show."""
     one, other = (side.get(key) for side in sides)
     if one is None or other is None:

@@ -174,7 +174,7 @@ def _fitted(
     count = int(parts[-1][-1]) + 1
     sizes = whole.sizes[:count]
     value, covariance = fit.beta[:count] * sizes, fit.covariance[:count, :count] * np.outer(sizes, sizes)
-    turned = _at_reference(residuals, hypotheses, parts, reference_c, about)
+    turned = at_reference(residuals, hypotheses, reference_c, about)
     roughly = np.zeros(count)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
         roughly[rows] = _model_error(hypothesis, value[rows])
@@ -326,22 +326,25 @@ def hidden_shifts(exam: Examination, wanted: Sequence[Wanted]) -> set[str]:
     }
 
 
-def _at_reference(
+def at_reference(
     residuals: SensorResiduals,
     hypotheses: Sequence[Hypothesis],
-    parts: Sequence[NDArray[np.int64]],
     reference_c: float | None,
     about: Mapping[str, float],
+    shifted: Mapping[str, tuple[tuple[int, ...], float]] = SHIFTED,
 ) -> Array:
     """Return the matrix that takes constants and polynomials about a driver's mean to the reference.
 
+    shifted: which constants an effect of temperature moves, as in `SHIFTED`.
+
     About x + w a polynomial sum c_p x^p has the coefficients sum over p of binomial(p, q) w^(p - q) c_p.
     """
+    parts = rows_of(hypotheses)
     matrix = np.eye(int(parts[-1][-1]) + 1)
     for hypothesis, rows in zip(hypotheses, parts, strict=True):
         more = _above_mean(residuals, hypothesis.effect, reference_c, about)
         if more:
-            moved, sign = SHIFTED.get(hypothesis.effect.name, BIAS_SHIFTED)
+            moved, sign = shifted.get(hypothesis.effect.name, BIAS_SHIFTED)
             powers = rows.reshape(-1, 3)
             for p, of in enumerate(powers, start=1):
                 matrix[moved, of] += sign * more**p

@@ -52,13 +52,17 @@ def recording(
     slope: Array | None = None,
     bias: Array | None = None,
     noise: float = 1.0,
+    about: float = 30.0,
 ) -> Recording:
-    """Return a device that is never still, and warms and cools twice; seed: of its noise, not its motion."""
+    """Return a device that is never still, and warms and cools twice; seed: of its noise, not its motion.
+
+    about: degC at which the slope adds nothing.
+    """
     t = np.arange(0.0, LENGTH, 1.0 / RATE)
     force, rate = motion(t)
     temperature = 30.0 + 4.0 * np.sin(4.0 * np.pi * t / LENGTH)
     rng = np.random.default_rng(seed)
-    rate = rate + (0.0 if slope is None else np.outer(temperature - 30.0, slope))
+    rate = rate + (0.0 if slope is None else np.outer(temperature - about, slope))
     rate = rate + noise * rng.normal(0.0, 1e-3, rate.shape)
     force = force + (0.0 if bias is None else bias) + noise * rng.normal(0.0, 0.01, force.shape)
     accel = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(force), frozen(temperature))
@@ -70,7 +74,7 @@ def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> 
     bias = np.array([0.05, 0.0, 0.0])
     shown: list[tuple[str, float]] = []
     said = judge_paired(
-        recording(1, slope=SLOPE, bias=bias),
+        recording(1, slope=SLOPE, bias=bias, about=26.0),
         recording(2, name="sim.csv", noise=0.0),
         lambda stage, done: shown.append((stage, done)),
     ).answer

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
-from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, taken_out
+from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, none_of, taken_out
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, subtract, weighed
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import axes_of
 from stillcal.calib_core.diagnosis.diagnose import Examination
@@ -33,8 +31,8 @@ def compare_in_pair(exam: Examination, motion: Alignment | None = None) -> Compa
     measured = [measured_in_pair(exam, residuals) for residuals in exam.sensors]
     constants = [q for of_one, _ in measured for q in of_one]
     constants += [] if motion is None else motion.quantities
-    by_key = {(q.effect, q.sensor): subtract(q, _none_of(q)) for q in constants}
-    by_finding = {id(f): subtract(q, _none_of(q)) for _, effects in measured for f, q in effects}
+    by_key = {(q.effect, q.sensor): subtract(q, none_of(q)) for q in constants}
+    by_finding = {id(f): subtract(q, none_of(q)) for _, effects in measured for f, q in effects}
     out = [
         _sized(d, by_finding.get(id(d.recorded), by_key.get((d.effect, d.sensor))))
         for d in found.discrepancies
@@ -92,12 +90,6 @@ def without_found(
 def without_equation(found: Comparison) -> list[str]:
     """Return the effects that no equation takes out of the difference of readings."""
     return [d.effect for d in found.discrepancies if d.difference is None]
-
-
-def _none_of(quantity: Quantity) -> Quantity:
-    """Return the other sensor's part: nothing, for it is what the one is measured against."""
-    k = quantity.value.size
-    return replace(quantity, value=np.zeros(k), covariance=np.zeros((k, k)))
 
 
 def _sized(found: Discrepancy, difference: Difference | None) -> Discrepancy:

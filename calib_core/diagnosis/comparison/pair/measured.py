@@ -11,15 +11,18 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.compare import agree, crossing_temperatures
 from stillcal.calib_core.diagnosis.comparison.linear import (
     ALIKE_BIAS,
     ALIKE_SCALE,
+    BIAS_SHIFTED,
     RATE_BIAS_SIZE,
+    at_reference,
     effect_quantity,
     rows_of,
 )
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import GAIN_SIZES
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
@@ -30,19 +33,66 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
+SHIFTED = {
+    "accel_bias_temperature": BIAS_SHIFTED,
+    "gyro_bias_temperature": BIAS_SHIFTED,
+    "accel_scale_temperature": ((3, 7, 11), 1.0),
+}
+"""Which constants of a pair effects of temperature move, by axis: what a sensor reads of its input grows."""
+
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 
 
-def measured_in_pair(
-    exam: Examination, residuals: SensorResiduals
-) -> tuple[list[Quantity], list[tuple[Finding, Quantity]]]:
+Fitted = tuple[list[Hypothesis], Array, Array]
+"""Constants and everything found, with their values (k,) and covariance (k, k), in their units."""
+
+Sizes = tuple[list[Quantity], list[tuple[Finding, Quantity]]]
+"""Bias and scale, and the named effects with their findings."""
+
+
+def measured_in_pair(exam: Examination, residuals: SensorResiduals) -> Sizes:
     """Return bias and scale, and every named effect found in a sensor's residuals with its finding.
 
-    They are of the one sensor less the other. An effect may come twice: each step has its own moment.
+    They are of the one sensor less the other. An effect may come twice: each step has its own moment. Where
+    the bias follows temperature, it is that at the temperature where both agree best, if they do agree there.
     """
-    every, value, covariance = _fitted(exam, residuals)
+    fit = _fitted(exam, residuals)
+    return _sizes_at(exam, residuals, fit, _reference(exam, residuals, fit))
+
+
+def none_of(quantity: Quantity) -> Quantity:
+    """Return the other sensor's part: nothing, for it is what the one is measured against."""
+    k = quantity.value.size
+    return replace(quantity, value=np.zeros(k), covariance=np.zeros((k, k)))
+
+
+def _reference(exam: Examination, residuals: SensorResiduals, fit: Fitted) -> float | None:
+    """Return the degC at which constants are stated, None without a thermometer."""
+    mean, sensor = residuals.moments.history.reference_c, residuals.sensor
+    if mean is None:
+        return None
+    at = crossing_temperatures(_biases(exam, residuals, fit, mean), {sensor: mean}).get(sensor, mean)
+    there = _biases(exam, residuals, fit, at)
+    return at if agree(there, (f"{sensor}_bias", sensor)) else mean
+
+
+def _biases(
+    exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: float
+) -> tuple[dict[Key, Quantity], dict[Key, Quantity]]:
+    """Return the bias and what temperature does to it, of the one sensor and of the other."""
+    constants, effects = _sizes_at(exam, residuals, fit, reference)
+    kept = {f"{residuals.sensor}_bias", f"{residuals.sensor}_bias_temperature"}
+    own = [q for q in (*constants, *(q for _, q in effects)) if q.effect in kept]
+    one, other = ({(q.effect, q.sensor): q for q in side} for side in (own, map(none_of, own)))
+    return one, other
+
+
+def _sizes_at(exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: float | None) -> Sizes:
+    """Return what was measured, the constants as they are at a temperature, degC."""
+    every, value, covariance = fit
+    turned = _turned(residuals, every, reference)
+    value, covariance = turned @ value, turned @ covariance @ turned.T
     where = Where(*residuals.bins.span, SLOW_BAND, "nothing")
-    reference = residuals.moments.history.reference_c
     at = {} if reference is None else {"temperature_c": reference}
     # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
     warm = at if residuals.sensor == "accel" else {}
@@ -62,6 +112,11 @@ def measured_in_pair(
     return constants, out
 
 
+def _turned(residuals: SensorResiduals, every: Sequence[Hypothesis], reference: float | None) -> Array:
+    """Return the matrix that takes values about the mean temperature to those about another, degC."""
+    return at_reference(residuals, every, reference, residuals.column_means, SHIFTED)
+
+
 def _found(exam: Examination, residuals: SensorResiduals) -> list[Stated]:
     """Return what was found in a sensor's residuals and has columns there."""
     return [s for s in exam.statements if s.residuals is residuals and s.hypothesis is not None]
@@ -69,23 +124,26 @@ def _found(exam: Examination, residuals: SensorResiduals) -> list[Stated]:
 
 def taken_out(exam: Examination, residuals: SensorResiduals, names: set[tuple[str, str]]) -> SensorResiduals:
     """Return residuals without the effects `names`, without the constants where they are among them."""
-    every, value, _ = _fitted(exam, residuals)
-    views = list(residuals.views)
+    every, value, covariance = _fitted(exam, residuals)
+    turned = _turned(residuals, every, _reference(exam, residuals, (every, value, covariance)))
+    stated = turned @ value
     for hypothesis, rows in zip(every, rows_of(every), strict=True):
-        size = value[rows].copy()
         if hypothesis is every[0]:
-            size[:3] *= (f"{residuals.sensor}_bias", residuals.sensor) in names
-            size[3:] *= (f"{residuals.sensor}_scale", residuals.sensor) in names
-        elif (hypothesis.effect.name, residuals.sensor) not in names:
-            continue
+            stated[rows[:3]] *= (f"{residuals.sensor}_bias", residuals.sensor) in names
+            stated[rows[3:]] *= (f"{residuals.sensor}_scale", residuals.sensor) in names
+        else:
+            stated[rows] *= (hypothesis.effect.name, residuals.sensor) in names
+    sizes, views = np.linalg.solve(turned, stated), list(residuals.views)
+    for hypothesis, rows in zip(every, rows_of(every), strict=True):
         views = [
-            replace(v, y=v.y - columns @ size) for v, columns in zip(views, hypothesis.columns, strict=True)
+            replace(v, y=v.y - columns @ sizes[rows])
+            for v, columns in zip(views, hypothesis.columns, strict=True)
         ]
     return replace(residuals, views=tuple(views))
 
 
-def _fitted(exam: Examination, residuals: SensorResiduals) -> tuple[list[Hypothesis], Array, Array]:
-    """Fit constants and everything found; return hypotheses, values (k,) and covariance, in their units."""
+def _fitted(exam: Examination, residuals: SensorResiduals) -> Fitted:
+    """Fit constants and everything found, as they are at the mean temperature."""
     bare = tuple(replace(v, baseline=v.baseline[:, :, :0], absorbed=None) for v in residuals.views)
     free = replace(residuals, views=bare)
     own = [s.hypothesis for s in _found(exam, residuals) if s.hypothesis is not None]
