@@ -17,12 +17,13 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Index,
     direct_finding,
-    of_fit,
+    of_chance,
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.noise.steady_segments import INDEPENDENT, NEIGHBOURS, OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms
 
 FLANK, FLANK_SIGMAS = 0.15, 2.0
@@ -32,10 +33,19 @@ CLOCK = 2e-5
 EITHER_END = float(np.sqrt(2.0 / 12.0))
 """Standard deviation of the sum of two numbers, each uniform between 0 and 1."""
 
+OVERLAPPING = 0.2
+"""Part by which the variance of a sum of powers is more where stretches overlap by half: under half a sine
+two of them correlate by 0.1."""
+
 STUDENT = 1.42
 """Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
 SIGNIFICANT = 3.0
 """Standard errors from which an axis has a line: by chance one in 700."""
+
+
+def told(ratio: Array) -> Array:
+    """Return nats of ratios to the mean of n independent neighbours: without a line they have F(2, 2n)."""
+    return np.asarray(INDEPENDENT * np.log1p(ratio / INDEPENDENT))
 
 
 def profile(seen: Stretches, rows: Index, middle: int) -> Array:
@@ -46,11 +56,11 @@ def profile(seen: Stretches, rows: Index, middle: int) -> Array:
     return np.asarray(seen.power[rows[:, None], within].sum(axis=(0, 2)))
 
 
-def _louder_side(seen: Stretches, rows: Index, middle: int) -> Array:
-    """Return the mean power (rows, 3) on the side of a line that is louder in all stretches together.
+def _noise(seen: Stretches, rows: Index, middle: int) -> Array:
+    """Return the power of the noise (rows, 3) in a line's place: the mean of its neighbours.
 
-    At the edge of a band in which something shakes, or where a line that wanders turns, the mean of both
-    sides is half of what is on one.
+    Of the two sides the one counts that is louder in all stretches together: at the edge of a band in which
+    something shakes, or where a line that wanders turns, the mean of both is half of what is on one.
     """
     away = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
     steps = np.round(np.outer(seen.wider[rows], away)).astype(np.int64)
@@ -60,8 +70,8 @@ def _louder_side(seen: Stretches, rows: Index, middle: int) -> Array:
             for sign in (-1, 1)
         ]
     )
-    louder = sides.sum(axis=1).argmax(axis=0)
-    return np.asarray(np.where(louder == 0, sides[0], sides[1]))
+    total = sides.sum(axis=1)
+    return np.asarray(sides.mean(axis=0) * (total.max(axis=0) / np.maximum(total.mean(axis=0), 1e-300)))
 
 
 def narrow(profile: Array, count: int) -> bool:
@@ -116,12 +126,14 @@ def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | 
     """State the line at a frequency (its index) that some stretches show; None where it is not sure."""
     frequency, error = _frequency(seen, rows, middle)
     line = np.abs(_amplitudes(seen, rows, frequency)[:, 0]) ** 2
-    noise = seen.to_amplitude[rows, None] ** 2 * _louder_side(seen, rows, middle)
+    noise = seen.to_amplitude[rows, None] ** 2 * _noise(seen, rows, middle)
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
     amplitude = np.sqrt(np.maximum(power, 0.0))
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
     axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
-    evidence = _seen(line, noise, seen.f.size)
+    runs = 1.0 if rows.size == len(seen.length) else len(seen.length) ** 2 / 2.0
+    alike = 1.0 + OVERLAPPING * 2.0 * (1.0 - float(seen.share[rows].mean()))
+    evidence = _seen(line / np.maximum(noise, 1e-300), line, alike, float(seen.f.size) * runs)
     pitch, size, span = (frequency, error), (amplitude, scatter), _lasts(seen, rows)
     return vibration(sensor, seen, axes, pitch=pitch, size=size, span=span, evidence=evidence)
 
@@ -176,13 +188,13 @@ def _fraction(seen: Stretches, start: float, end: float) -> Parameter:
     return Parameter(part, [part - NORMAL_95 * error, min(part + NORMAL_95 * error, 1.0)], "1")
 
 
-def _seen(line: Array, noise: Array, frequencies: int) -> DirectEvidence:
-    """Return what powers (S, 3) say of a line: exponential about the noise, or about more, axis by axis.
+def _seen(ratio: Array, line: Array, alike: float, places: float) -> DirectEvidence:
+    """Return what powers (S, 3) say of a line, on the clearest axis or on the three together (Fisher).
 
-    frequencies: how many were looked at. Powers of stretches left out are predicted by the others.
+    ratio: to the noise, by chance of an F law; alike: stretches that count as one; places: how many
+    frequencies, and runs of stretches, were looked at. Powers of stretches left out are predicted by the
+    others, by exponential laws.
     """
-    floor = np.maximum(noise.mean(axis=0), 1e-300)
-    ratio = line / floor
     fold, gain = blocks(len(ratio)), 0.0
     before, after = [], []
     for k in np.unique(fold):
@@ -191,7 +203,7 @@ def _seen(line: Array, noise: Array, frequencies: int) -> DirectEvidence:
         seen = np.sqrt(line[fold == k])
         before.append(rms(seen))
         after.append(rms(seen - np.sqrt(line[fold != k].mean(axis=0))))
-    more = np.maximum(ratio.mean(axis=0), 1.0)
-    whole = float(len(ratio) * (more - 1.0 - np.log(more)).sum())
+    total, freedom = 2.0 * told(ratio).sum(axis=0) / alike, 2.0 * len(ratio) / alike
+    log_chance = min(float(log_tail(total, freedom).min()), float(log_tail(total.sum(), 3.0 * freedom)))
     held_out = HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
-    return DirectEvidence(of_fit(whole, 3.0, float(len(ratio)), float(frequencies)), held_out)
+    return DirectEvidence(of_chance(log_chance, 4.0 * places), held_out)

@@ -16,9 +16,8 @@ from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.coherent_line import coherent_line
 from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz, named_if_steady
-from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated
+from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated, told
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
-    INDEPENDENT,
     NEIGHBOURS,
     OWN,
     Places,
@@ -48,7 +47,9 @@ LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 69.0
 """Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far."""
 
-LINE_P = 1e-5
+LINE_P, STACK_P = 1e-5, 1e-3
+"""Chances of what stands out, anywhere, in single stretches and in many together; `stated` judges it."""
+
 LEAST_STRETCHES = 4.5
 """Stretches' lengths that a line must last: nine that overlap by half make five."""
 LEAST_STACK = 10
@@ -153,7 +154,7 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         if k is None:
             break
         middle = int(open_ones[k])
-        lasting = _lasting(ratio[:, middle - 1 : middle + 2].max(axis=(1, 2)))
+        lasting = _lasting(ratio[:, middle - 1 : middle + 2])
         pace = _pace(seen, lasting, middle)
         line = _judged(sensor, left, lasting, middle) if pace is None else None
         if line is None:
@@ -200,11 +201,10 @@ def _line(ratio: Array, share: Array) -> int | None:
 def _stacked(ratio: Array) -> int | None:
     """Return where all, half or a quarter of the stretches together stand out, or None.
 
-    On one axis, or on the three together. Without a line a ratio to the mean of n independent neighbours has
-    F(2, 2n): minus twice its log-probability is chi-squared with two degrees of freedom (Fisher's method).
+    On one axis, or on the three together (Fisher's method).
     """
-    told = 2.0 * INDEPENDENT * np.log1p(np.minimum(ratio, LOUDEST) / INDEPENDENT)
-    total = np.concatenate([np.zeros((1, *ratio.shape[1:])), np.cumsum(told, axis=0)])
+    nats = 2.0 * told(np.minimum(ratio, LOUDEST))
+    total = np.concatenate([np.zeros((1, *ratio.shape[1:])), np.cumsum(nats, axis=0)])
     best: tuple[float, int] | None = None
     for part in (1, 2, 4):
         count = len(ratio) // part
@@ -214,14 +214,37 @@ def _stacked(ratio: Array) -> int | None:
         stack = total[first + count] - total[first]
         for values, freedom in ((stack.max(axis=2), 2 * count), (stack.sum(axis=2), 6 * count)):
             usual = float(np.quantile(values, USUAL)) / exceeded(1.0 - USUAL, freedom)
-            limit = exceeded(LINE_P / stack.size, freedom) * max(usual, 1.0)
+            limit = exceeded(STACK_P / stack.size, freedom) * max(usual, 1.0)
             top = float(values.max()) / limit
             if top > 1.0 and (best is None or top > best[0]):
                 best = top, int(np.argmax(values.max(axis=0)))
     return None if best is None else best[1]
 
 
-def _lasting(near: Array) -> Index:
+def _lasting(ratio: Array) -> Index:
+    """Return the stretches that have a line: a run of them, or all where this is as likely.
+
+    ratio: (S, 3, 3) of the line and of the frequency on either side, by axis. Where single stretches hardly
+    show the line, the run may be one of chance.
+    """
+    near, line = ratio.max(axis=(1, 2)), ratio[:, 1]
+    run, every = _run(near), np.arange(len(ratio), dtype=np.int64)
+    if run.size and float(near[run].mean()) > LOUDEST:
+        return run
+    choices = 2.0 * float(np.log(len(ratio)))
+    return run if run.size and _steady(line[run]) - choices > _steady(line) else every
+
+
+def _steady(ratio: Array) -> float:
+    """Return nats for a steady line on each axis, against none (Rice's law); ratio: (S, 3)."""
+    from scipy.special import i0e  # noqa: PLC0415 - the daemon stays light
+
+    line = np.maximum(ratio.mean(axis=0) - 1.0, 0.0)
+    twice = 2.0 * np.sqrt(ratio * line)
+    return float((np.log(i0e(twice)) + twice - line).sum())
+
+
+def _run(near: Array) -> Index:
     """Return the run of stretches that gains most over half way from no line to the mean; near: (S,)."""
     half = max(0.5 * (QUIET + float(near.mean())), LEAST_HALF)
     gain = np.concatenate([[0.0], np.cumsum(np.minimum(near, 4.0 * half) - half)])
