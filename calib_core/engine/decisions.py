@@ -53,6 +53,7 @@ from stillcal.calib_core.engine.schedule import (
     calibration_due,
     wandered_by,
 )
+from stillcal.calib_core.engine.sensor_faults import LEAST_S, sensor_faults
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
@@ -273,6 +274,23 @@ class CalibrationPolicy:
             state.trouble = None
         self._follow(t)
         state.early_check = wandered_by(state, t, self._settings.schedule)
+
+    def inspect_sensors(self, t: float, silent: bool) -> None:
+        """Log at t (s) which sensors have failed since the last time, and which are well again.
+
+        silent: whether the accelerometer sends no samples.
+        """
+        state, ledger = self._state, self._detector.ledger
+        before, has_gyroscope = state.faults, Sensor.GYROSCOPE in state.latest
+        state.faults = sensor_faults(state.inspected, ledger, has_gyroscope, silent, before)
+        if ledger.accel_on_s - state.inspected.accel_on_s >= LEAST_S:
+            state.inspected = ledger
+        for sensor in Sensor:
+            fault = state.faults.get(sensor)
+            if fault is not None and fault != before.get(sensor):
+                self._actions.append(Log(t, Level.WARNING, "sensor", f"the {sensor} fails: {fault}"))
+            elif fault is None and sensor in before:
+                self._actions.append(Log(t, Level.INFO, "sensor", f"the {sensor} works again"))
 
     def notice_change(self, t: float) -> None:
         """Check at t (s) before a check is due where the rests since the last one already show a change.

@@ -314,6 +314,7 @@ class Engine:
         state.check_due = state.record is not None
         state.next_check = next_on_grid(state.began or t, interval, resumed(state, t))
         self._policy.check(t)
+        self._policy.inspect_sensors(t, self._intake.accelerometer_silent)
         occasion = first_without_charger(state, t, self.settings.schedule)
         enough = state.attitudes >= self.settings.calibrate.accelerometer.prior_attitudes
         if occasion is not None and enough:

@@ -33,6 +33,9 @@ A rest is reported only once its last window was judged, which waits up to max_l
 ACCEL_PATIENCE_S = 600.0
 """s: where the gyroscope has gone on alone for so long, the accelerometer is no longer waited for."""
 
+SILENT_SAMPLES = 500
+"""Samples of the gyroscope without one of the accelerometer that show that the latter has stopped."""
+
 LONGEST_STEP_S = 1.0
 """s: a longer step between samples is a pause, of which so much counts."""
 
@@ -57,7 +60,13 @@ class Intake:
         self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
         self._index = AttitudeIndex(settings.pool)
         self._after_tail: list[Samples] = []
+        self._alone = 0
         self._reach_s = settings.turns.max_duration + settings.detector.max_rest_s + _SLACK_S
+
+    @property
+    def accelerometer_silent(self) -> bool:
+        """Whether the gyroscope sends samples and the accelerometer none."""
+        return self._alone > SILENT_SAMPLES
 
     def take(self, samples: Samples) -> None:
         """Keep samples until `look` takes them. Raises SampleError where their stream runs backwards."""
@@ -101,6 +110,8 @@ class Intake:
         due = [block for sensor in Sensor if len(block := self._before(sensor, stop))]
         if not due or state.watch is Watch.IDLE:
             return
+        sensed = [block.sensor for block in due]
+        self._alone = 0 if Sensor.ACCELEROMETER in sensed else self._alone + sum(map(len, due))
         for block in due:
             if state.watch is Watch.CONTINUOUS and block.temperature is not None:
                 self.hear(block.t, block.temperature)

@@ -19,6 +19,7 @@ from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.static.detector import DetectorState
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.static.settings import Ledger
 from stillcal.calib_core.streams.events import Event
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.charger import Charger
@@ -99,7 +100,8 @@ class EngineState:
     centre: the calibration that was accepted last, where the accelerometer's in use follows the rests since.
     refusal: why the last attempt to fit was refused. trouble: None where the last check passed. suspected:
     steps of a bias that a single rest since the last check may have shown. trials: terms of a diagnosis that
-    are tested on the rests since. faces: how far six known faces have come that were asked for.
+    are tested on the rests since. faces: how far six known faces have come that were asked for. faults: what
+    is wrong with a sensor, in words. inspected: the detector's counts when that was last looked at.
     """
 
     detector: DetectorState | None = None
@@ -136,6 +138,8 @@ class EngineState:
     suspected: dict[Sensor, Suspicion] = field(default_factory=dict)
     trials: tuple[Trial, ...] = ()
     faces: LaidFaces | None = None
+    faults: dict[Sensor, str] = field(default_factory=dict)
+    inspected: Ledger = field(default_factory=Ledger)
     counters: Counters = field(default_factory=Counters)
 
     @property

@@ -44,7 +44,7 @@ class View:
 
     rests_kept: for learning. learns_temperature: whether the settings have it learnt. on_trial: effects of
     which a term is tested, and since when (s). suspected: steps of a bias. faces: how far six known faces
-    have come that were asked for.
+    have come that were asked for. faults: what is wrong with a sensor, in words.
     """
 
     want: Sense | Sleep
@@ -71,6 +71,7 @@ class View:
     on_trial: Mapping[str, float] = field(default_factory=dict)
     suspected: Mapping[Sensor, Suspicion] = field(default_factory=dict)
     faces: LaidFaces | None = None
+    faults: Mapping[Sensor, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,6 +219,7 @@ def _view(engine: Engine) -> View:
         on_trial={trial.term.effect: trial.since for trial in s.trials},
         suspected=s.suspected,
         faces=s.faces,
+        faults=s.faults,
     )
 
 

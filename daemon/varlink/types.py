@@ -146,7 +146,8 @@ class Status:
     last write to the disk failed, empty where it did not. missing: what a refused calibration still needs.
     failed_checks: in a row, after a calibration was tried anew. diagnosis: why somebody should look for
     what the model leaves out, empty where there is no cause. seed: of the random pauses between probes; a
-    replay with it in its settings has the same pauses.
+    replay with it in its settings has the same pauses. sensor_faults: what is wrong with a sensor, a sentence
+    each, by the newest hourly check.
     """
 
     version: str
@@ -163,6 +164,7 @@ class Status:
     trouble: str
     failed_checks: int
     diagnosis: str
+    sensor_faults: list[str]
     store: str
     restarts: int
     leaps: int

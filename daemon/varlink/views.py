@@ -200,6 +200,7 @@ def status(daemon: Daemon) -> api.Status:
         decides_in_s=None if now is None or math.isinf(view.decides) else max(view.decides - now, 0.0),
         gravity=view.gravity.value,
         seed=daemon.seed,
+        sensor_faults=[f"the {sensor} fails: {fault}" for sensor, fault in view.faults.items()],
     )
 
 

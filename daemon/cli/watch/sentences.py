@@ -83,8 +83,8 @@ def next_step(now: Snapshot) -> str:
         return "waiting for the phone to connect"
     if now.faces.get("stage") == "laying":
         return laying_faces(now.faces)
-    if status.get("degraded"):
-        return "needs new rests: the calibration no longer fits"
+    if status.get("sensor_faults") or status.get("degraded"):
+        return "; ".join(status.get("sensor_faults", [])) or "needs new rests: the calibration no longer fits"
     if now.calibration is None or not now.calibration.get("accelerometer"):
         return _missing_for_calibration(now)
     due = status.get("decides_in_s")

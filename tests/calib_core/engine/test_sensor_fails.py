@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import pytest
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.engine.actions import Log
 from stillcal.calib_core.engine.intake import ACCEL_PATIENCE_S
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
-from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.engine.test_boat import FACES, calibrated, lying
 
+HOUR = 60
 WATCHED = EngineSettings(ScheduleSettings(watch="continuous"))
 
 
@@ -25,3 +33,39 @@ def test_where_the_accelerometer_stops_time_goes_on_and_nothing_piles_up() -> No
     for begin in range(301, 306):
         engine.feed(*lying(t + 60.0 * begin, FACES[1], 59.0))
     assert engine.state.counters.rests > rests and not engine.state.check_due
+
+
+def frozen_at(samples: Samples, value: float, axes: Sequence[int] = (0, 1, 2)) -> Samples:
+    """Return samples some of whose axes hold one value."""
+    held = samples.xyz.copy()
+    held[:, list(axes)] = value
+    return replace(samples, xyz=frozen(held))
+
+
+FAILURES: dict[str, tuple[Callable[[Samples, Samples], list[Samples]], str]] = {
+    "no accelerometer": (lambda gyro, accel: [gyro], "accelerometer fails: it sends no samples, although"),
+    "no gyroscope": (lambda gyro, accel: [accel], "gyroscope fails: it sends no samples, too few"),
+    "frozen": (lambda gyro, accel: [gyro, frozen_at(accel, 3.0)], "accelerometer fails: it shows one value"),
+    "stuck": (
+        lambda gyro, accel: [gyro, frozen_at(accel, 3.0, [2])],
+        "accelerometer fails: it shows one value",
+    ),
+    "frozen gyroscope": (lambda gyro, accel: [frozen_at(gyro, 0.0), accel], "or one value again and again"),
+    "in g": (lambda gyro, accel: [gyro, replace(accel, xyz=accel.xyz / 9.81)], "check its unit"),
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+def test_a_sensor_that_fails_is_told_once_and_again_when_it_works(failure: str) -> None:
+    engine, t = calibrated(WATCHED)
+    change, words = FAILURES[failure]
+    told = []
+    for minute in range(4 * HOUR + 15):
+        gyro, accel = lying(t + 60.0 * minute, FACES[minute // 20 % 6], 59.0)
+        failing = HOUR <= minute < 3 * HOUR + 15
+        blocks = change(gyro, accel) if failing else [gyro, accel]
+        told += [a for a in engine.feed(*blocks) if isinstance(a, Log) and a.what == "sensor"]
+    fails, works = told
+    assert words in fails.why and fails.level == "warning" and "works again" in works.why
+    assert t + 3600.0 < fails.t < t + 3.2 * 3600.0 < works.t
+    assert not engine.state.faults
