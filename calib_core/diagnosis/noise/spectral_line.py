@@ -154,7 +154,7 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         if k is None:
             break
         middle = int(open_ones[k])
-        lasting = _lasting(ratio[:, middle - 1 : middle + 2])
+        lasting = _lasting(ratio[:, middle - 1 : middle + 2], left.share, _plain(ratio[:, open_ones].size))
         pace = _pace(seen, lasting, middle)
         line = _judged(sensor, left, lasting, middle) if pace is None else None
         if line is None:
@@ -189,9 +189,8 @@ def _of_one_cause(seen: Stretches, middle: int, pace: float | None) -> NDArray[n
 def _line(ratio: Array, share: Array) -> int | None:
     """Return the frequency that stands out in `LEAST_STRETCHES` stretches, or in the mean of all."""
     best = ratio.max(axis=2)
-    threshold = float(np.log(best.size * 3 / LINE_P))
     near = np.maximum(best, np.maximum(np.roll(best, 1, axis=1), np.roll(best, -1, axis=1)))
-    hits = share @ (near > threshold)
+    hits = share @ (near > _plain(ratio.size))
     if hits.max() >= LEAST_STRETCHES:
         clear = hits > hits.max() - 1.5
         return int(np.argmax(np.where(clear, best.sum(axis=0), 0.0)))
@@ -221,14 +220,22 @@ def _stacked(ratio: Array) -> int | None:
     return None if best is None else best[1]
 
 
-def _lasting(ratio: Array) -> Index:
+def _plain(count: int) -> float:
+    """Return the ratio that no stretch has by chance, of so many."""
+    return float(np.log(count / LINE_P))
+
+
+def _lasting(ratio: Array, share: Array, plain: float) -> Index:
     """Return the stretches that have a line: a run of them, or all where this is as likely.
 
-    ratio: (S, 3, 3) of the line and of the frequency on either side, by axis. Where single stretches hardly
-    show the line, the run may be one of chance.
+    ratio: (S, 3, 3) of the line and of the frequency on either side, by axis; share: (S,) of these stretches;
+    plain: the ratio from which one shows the line by itself. Where they hardly do, the run may be one of
+    chance. Of short spells that come again and again a run is only one: these last from first to last.
     """
     near, line = ratio.max(axis=(1, 2)), ratio[:, 1]
-    run, every = _run(near), np.arange(len(ratio), dtype=np.int64)
+    run, every, shown = _run(near), np.arange(len(ratio), dtype=np.int64), np.flatnonzero(near > plain)
+    if share[run].sum() < LEAST_STRETCHES <= share[shown].sum():
+        return every[shown[0] : shown[-1] + 1]
     if run.size and float(near[run].mean()) > LOUDEST:
         return run
     choices = 2.0 * float(np.log(len(ratio)))

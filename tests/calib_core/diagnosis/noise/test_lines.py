@@ -88,7 +88,13 @@ def on_and_off(on: float, off: float) -> Array:
 
 
 @pytest.mark.parametrize(
-    ("on", "off", "amplitude"), [(60.0, 40.0, 0.03), (60.0, 40.0, 0.004), (10.0, 10.0, 0.01)]
+    ("on", "off", "amplitude"),
+    [
+        (60.0, 40.0, 0.03),
+        (60.0, 40.0, 0.004),
+        (10.0, 10.0, 0.01),
+        (40.0, 160.0, 0.1),  # spells each too short for a line by itself
+    ],
 )
 def test_a_vibration_that_comes_and_goes_has_no_name(on: float, off: float, amplitude: float) -> None:
     """Stated are its frequency, the amplitude while it is there, and how much of the time that is."""
