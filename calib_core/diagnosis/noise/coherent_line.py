@@ -29,6 +29,12 @@ NEVER = 0.49
 FINE = 0.1
 """Steps of the frequency's fit, in what the whole recording tells apart."""
 
+LOUDEST = 2.0
+"""Times the median size of a stretch's sum from which one counts for no more."""
+
+MOST_PASSED = 4
+"""Frequencies that are looked at for a line, for time: what few stretches have is passed over."""
+
 EDGE = 0.025
 """Weight of all tapers together, below which a rest begins or ends: one second of 20, as hands let go."""
 
@@ -51,8 +57,19 @@ def coherent_line(
     free[:edge] = free[-edge:] = False
     if not free.any():
         return None
-    nats, k = _clearest(told, np.flatnonzero(free))
-    return None if k is None else _stated(sensor, rests, seen, float(f[k]), nats)
+    for _ in range(MOST_PASSED):
+        at = np.flatnonzero(free)
+        tries = float(at.size * (told.shape[1] + 1))
+        best, k = _clearest(told, at)
+        if not DirectEvidence(of_chance(-best, tries)).stated:
+            return None
+        line = _stated(sensor, rests, seen, float(f[k]), (best, tries))
+        if line is not None:
+            return line
+        free &= np.abs(f - f[k]) > OWN * float(seen.f[1])
+        if not free.any():
+            return None
+    return None
 
 
 def in_step(places: Places, seen: Stretches, line: Finding) -> float:
@@ -66,13 +83,12 @@ def in_step(places: Places, seen: Stretches, line: Finding) -> float:
     return ((line.evidence.heldout_log_score_gain or 0.0) + by_chance) / max(above, by_chance)
 
 
-def _clearest(told: Array, at: Index) -> tuple[float, int | None]:
-    """Return nats for the clearest line on one axis or on all together, and its place; told: (F, 3)."""
+def _clearest(told: Array, at: Index) -> tuple[float, int]:
+    """Return nats of the clearest line on one axis or on all together, and its place; told: (F, 3)."""
     together = -log_tail(2.0 * told[at].sum(axis=1), 2 * told.shape[1])
     best = np.maximum(together, told[at].max(axis=1))
     k = int(np.argmax(best))
-    nats = of_chance(-float(best[k]), float(at.size * (told.shape[1] + 1)))
-    return nats, int(at[k]) if DirectEvidence(nats).stated else None
+    return float(best[k]), int(at[k])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -133,8 +149,10 @@ class _Rests:
         return np.asarray((self.share * seen.taper).sum(axis=1)[:, None] / 2.0)
 
 
-def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: float) -> Finding | None:
-    """State the line near a frequency, Hz."""
+def _stated(
+    sensor: str, rests: _Rests, seen: Stretches, near: float, chance: tuple[float, float]
+) -> Finding | None:
+    """State the line near a frequency, Hz; chance: nats that it tells, and how many were looked at."""
     step = rests.rate / len(rests.series)
     sums, middle = rests.sums(seen, near), seen.span.mean(axis=1)
 
@@ -154,9 +172,24 @@ def _stated(sensor: str, rests: _Rests, seen: Stretches, near: float, nats: floa
     # Cramer and Rao's bound of a sine's frequency, by how far it stands above the noise.
     above = float(np.sqrt(2.0 * (power / floor).sum()))
     error = float(np.hypot(np.sqrt(6.0) * step / np.pi / above, CLOCK * frequency))
-    evidence = DirectEvidence(nats, _left_out(rests.sums(seen, frequency), rests, seen))
+    sums, (told, tries) = rests.sums(seen, frequency), chance
+    nats = of_chance(-told * _even(rests.weight * sums), tries)
+    evidence = DirectEvidence(nats, _left_out(sums, rests, seen))
     pitch, size = (frequency, error), (amplitude, scatter)
     return vibration(sensor, seen, axes, pitch=pitch, size=size, span=seen.whole, evidence=evidence)
+
+
+def _even(sums: Array) -> float:
+    """Return the part of a line's power that stays if no stretch counts for more than `LOUDEST` usual ones.
+
+    sums: (S, 3). Of noise that takes 2^-4 of its power (Rayleigh's law), which is given back. Where a strong
+    vibration begins or ends, a stretch has power at all frequencies about it.
+    """
+    size = np.abs(sums)
+    most = LOUDEST * np.median(size, axis=0)
+    even = sums * np.minimum(1.0, most / np.maximum(size, 1e-300))
+    power, whole = ((np.abs(x.sum(axis=0)) ** 2).sum() for x in (even, sums))
+    return min(float(power / max(whole, 1e-300)) / (1.0 - float(2.0 ** -(LOUDEST**2))), 1.0)
 
 
 def _left_out(sums: Array, rests: _Rests, seen: Stretches) -> HeldOut:

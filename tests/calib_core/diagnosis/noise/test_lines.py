@@ -126,6 +126,17 @@ def test_the_text_says_how_long_a_vibration_lasts() -> None:
     assert always.statement.startswith("Vibration at 30.00 Hz")
 
 
+def test_the_ends_of_strong_spells_make_no_other_lines() -> None:
+    """Five minutes of twenty, 50 times the noise, in rests of 58 s: few stretches have power off the line."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 3600.0, 0.04)
+    in_turn = t % 60.0 - 58.0
+    xyz = rng.normal(0.0, NOISE, (t.size, 3))
+    xyz[:, 0] += np.where(in_turn >= 0.0, 5.0 * np.sin(np.pi * in_turn / 2.0), 0.0)
+    xyz[:, 2] += 9.81 + 0.5 * np.sin(2.0 * np.pi * 8.4 * t) * (t % 1200.0 < 300.0)
+    found = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(DRIVER, 8.4)]
+
+
 def test_a_single_pause_of_a_long_vibration_is_told() -> None:
     pause = (T < 250.0) | (T > 330.0)
     assert [f.effect for f in tones(lying(humming({30.0: 0.01}) * pause), "accel")] == ["unknown"]
