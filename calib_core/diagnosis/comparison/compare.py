@@ -166,7 +166,7 @@ def _sides(
             sides, reference = _with_those_of(sensor, sides, crossed), reference | {sensor: at}
     for sensor in sorted({w.hypothesis.effect.sensor for w in wanted[1] if SETTLED in w.grid}):
         later = [linear_quantities(exam, [*map(settled, own)], reference, about) for exam, own in asked]
-        if _apart(later, (f"{sensor}_bias", sensor)) < _apart(sides, (f"{sensor}_bias", sensor)):
+        if apart(later, (f"{sensor}_bias", sensor)) < apart(sides, (f"{sensor}_bias", sensor)):
             sides = _with_those_of(sensor, sides, later)
     sides = not_logged.with_unknown_temperature(sides, unlogged)
     return [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
@@ -182,7 +182,7 @@ def _with_those_of(
     ]
 
 
-def _apart(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> float:
+def apart(sides: Sequence[Mapping[Key, Quantity]], key: Key) -> float:
     """Return the log Bayes factor, nats, for a difference of a quantity; none where one does not show it."""
     one, other = (side.get(key) for side in sides)
     return -np.inf if one is None or other is None else subtract(one, other).log_bayes_factor

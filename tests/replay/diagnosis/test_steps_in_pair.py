@@ -1,7 +1,8 @@
-"""A step of bias in a recording, in a simulation of its motion, or in both: which of them has how much."""
+"""A step or a settling of bias in a recording, in a simulation of its motion, or both: who has how much."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,8 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import with_own_of_sim
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.timed import Step
+from stillcal.calib_core.diagnosis.effects.warmup import Warmup
+from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.replay.diagnosis.judged import examined
@@ -36,22 +39,20 @@ def jumping(seed: int, steps: Steps) -> Recording:
     return turned(seed, flaw)
 
 
-def judged(recorded: Steps, simulated: Steps) -> list[Discrepancy]:
-    """Return what is said of the steps of the gyroscope, told when they are, by their moments."""
-    real, sim = jumping(1, recorded), jumping(2, simulated)
+def judged(real: Recording, sim: Recording, effect: Effect, grids: Sequence[Grid]) -> list[Discrepancy]:
+    """Return what is said of a pair of which it is known what the gyroscopes differ by: an effect's grids."""
     assert sim.gyroscope is not None
     true = Readings(sim.accelerometer, sim.gyroscope)
     bins, sensors = pair_residuals(less(real, true), true, [], 0.0)
     residuals = next(s for s in sensors if s.sensor == "gyro")
     stated = []
-    for at in sorted({*recorded, *simulated}):
-        where = Where(at, bins.span[1], (0.0, 0.05), "time")
-        finding = Finding("gyro_bias_step", "gyro", ["x", "z"], where, {}, Evidence(50.0), [], "")
-        stated.append(Stated(finding, residuals.measured(Step("gyro"), {"t_start": at}), residuals))
+    for grid in grids:
+        where = Where(grid.get("t_start", bins.span[0]), bins.span[1], (0.0, 0.05), "time")
+        finding = Finding(effect.name, "gyro", ["x", "z"], where, {}, Evidence(50.0), [], "")
+        stated.append(Stated(finding, residuals.measured(effect, grid), residuals))
     exam = replace(examined(real, search=False), bins=bins, sensors=sensors, turns=None, statements=stated)
     found = with_own_of_simulation(compare_in_pair(exam), exam, examined(sim, search=False))
-    steps = [d for d in found.discrepancies if d.effect == "gyro_bias_step"]
-    return sorted(steps, key=lambda d: d.where.t_start)
+    return sorted(found.discrepancies, key=lambda d: d.where.t_start)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +67,8 @@ def judged(recorded: Steps, simulated: Steps) -> list[Discrepancy]:
 def test_a_step_is_told_of_the_one_that_has_it(
     recorded: Steps, simulated: Steps, relations: list[str]
 ) -> None:
-    found = judged(recorded, simulated)
+    grids = [{"t_start": at} for at in sorted({*recorded, *simulated})]
+    found = judged(jumping(1, recorded), jumping(2, simulated), Step("gyro"), grids)
     assert [d.relation for d in found] == relations
     for one in found:
         at = one.where.t_start
@@ -75,3 +77,16 @@ def test_a_step_is_told_of_the_one_that_has_it(
         assert np.abs(one.difference.value - apart * STEP).max() < 0.1 * np.abs(STEP).max()
         had = one.difference.simulated.value
         assert np.abs(had - simulated.get(at, 0.0) * STEP).max() < 0.15 * np.abs(STEP).max()
+
+
+def test_a_settling_of_the_simulation_is_counted_from_the_bias_that_both_have_in_the_end() -> None:
+    """Counted from the start, its amplitude would be told again, as a difference of the bias."""
+
+    def settling(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force, rate + np.outer(np.exp(-np.arange(len(rate)) / RATE / 60.0), 5.0 * STEP)
+
+    (one,) = judged(turned(1), turned(2, settling), Warmup("gyro"), [{"tau_s": 60.0}])
+    assert (one.effect, one.relation) == ("gyro_warmup", "superfluous")
+    assert one.difference is not None and one.difference.recorded.reference["settled"] == 1.0
+    # From the settled bias a settling is less its amplitude times what is left of it.
+    assert np.abs(one.difference.simulated.value + 5.0 * STEP).max() < 0.15 * 5.0 * np.abs(STEP).max()

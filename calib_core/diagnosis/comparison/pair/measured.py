@@ -6,12 +6,12 @@ These constants are nuisances of the search, and are measured with what it found
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.compare import agree, crossing_temperatures
+from stillcal.calib_core.diagnosis.comparison.compare import agree, apart, crossing_temperatures
 from stillcal.calib_core.diagnosis.comparison.linear import (
     ALIKE_BIAS,
     ALIKE_SCALE,
@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import GAIN_SIZES
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together
@@ -43,6 +44,14 @@ SHIFTED = {
 BIAS = {"accel": Linear("bias", "m/s^2", 3, BIAS_SIZE), "gyro": Linear("bias", "rad/s", 3, RATE_BIAS_SIZE)}
 
 
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """What bias and scale are stated at: degC (None without a thermometer); settled: after settling."""
+
+    temperature_c: float | None
+    settled: bool = False
+
+
 Fitted = tuple[list[Hypothesis], Array, Array]
 """Constants and everything found, with their values (k,) and covariance (k, k), in their units."""
 
@@ -54,7 +63,8 @@ def measured_in_pair(exam: Examination, residuals: SensorResiduals) -> Sizes:
     """Return bias and scale, and every named effect found in a sensor's residuals with its finding.
 
     They are of the one sensor less the other. An effect may come twice: each step has its own moment. Where
-    the bias follows temperature, it is that at the temperature where both agree best, if they do agree there.
+    the bias follows temperature, it is that at the temperature where both agree best, if they do agree there;
+    where it settles, that of the start or the settled one.
     """
     fit = _fitted(exam, residuals)
     return _sizes_at(exam, residuals, fit, _reference(exam, residuals, fit))
@@ -66,18 +76,23 @@ def none_of(quantity: Quantity) -> Quantity:
     return replace(quantity, value=np.zeros(k), covariance=np.zeros((k, k)))
 
 
-def _reference(exam: Examination, residuals: SensorResiduals, fit: Fitted) -> float | None:
-    """Return the degC at which constants are stated, None without a thermometer."""
-    mean, sensor = residuals.moments.history.reference_c, residuals.sensor
-    if mean is None:
-        return None
-    at = crossing_temperatures(_biases(exam, residuals, fit, mean), {sensor: mean}).get(sensor, mean)
-    there = _biases(exam, residuals, fit, at)
-    return at if agree(there, (f"{sensor}_bias", sensor)) else mean
+def _reference(exam: Examination, residuals: SensorResiduals, fit: Fitted) -> Reference:
+    """Return where both biases agree best: elsewhere they would only repeat that temperature moves one."""
+    sensor = residuals.sensor
+    bias, best = (f"{sensor}_bias", sensor), Reference(residuals.moments.history.reference_c)
+    if best.temperature_c is not None:
+        mean = {sensor: best.temperature_c}
+        crossing = crossing_temperatures(_biases(exam, residuals, fit, best), mean) or mean
+        there = Reference(crossing[sensor])
+        best = there if agree(_biases(exam, residuals, fit, there), bias) else best
+    if any(isinstance(h.effect, Warmup) for h in fit[0]):
+        later = replace(best, settled=True)
+        best = min(best, later, key=lambda at: apart(_biases(exam, residuals, fit, at), bias))
+    return best
 
 
 def _biases(
-    exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: float
+    exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: Reference
 ) -> tuple[dict[Key, Quantity], dict[Key, Quantity]]:
     """Return the bias and what temperature does to it, of the one sensor and of the other."""
     constants, effects = _sizes_at(exam, residuals, fit, reference)
@@ -87,22 +102,24 @@ def _biases(
     return one, other
 
 
-def _sizes_at(exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: float | None) -> Sizes:
-    """Return what was measured, the constants as they are at a temperature, degC."""
+def _sizes_at(exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: Reference) -> Sizes:
+    """Return what was measured, the constants as they are at a reference."""
     every, value, covariance = fit
     turned = _turned(residuals, every, reference)
     value, covariance = turned @ value, turned @ covariance @ turned.T
     where = Where(*residuals.bins.span, SLOW_BAND, "nothing")
-    at = {} if reference is None else {"temperature_c": reference}
+    at = {} if reference.temperature_c is None else {"temperature_c": reference.temperature_c}
     # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
     warm = at if residuals.sensor == "accel" else {}
+    counted = [_counted(h, reference) for h in every[1:]]
+    settling = {SETTLED: float(reference.settled)} if any(SETTLED in h.grid for h in counted) else {}
     constants = [
-        _bias(residuals.sensor, value, covariance, where, at),
+        _bias(residuals.sensor, value, covariance, where, at | settling),
         _scale(residuals.sensor, value, covariance, where, warm),
     ]
     out = []
     findings = [s.finding for s in _found(exam, residuals)]
-    for finding, hypothesis, rows in zip(findings, every[1:], rows_of(every)[1:], strict=True):
+    for finding, hypothesis, rows in zip(findings, counted, rows_of(every)[1:], strict=True):
         if hypothesis.effect.name != "unknown":
             one = effect_quantity(
                 residuals.bins.span, hypothesis, value[rows], covariance[np.ix_(rows, rows)]
@@ -112,9 +129,20 @@ def _sizes_at(exam: Examination, residuals: SensorResiduals, fit: Fitted, refere
     return constants, out
 
 
-def _turned(residuals: SensorResiduals, every: Sequence[Hypothesis], reference: float | None) -> Array:
-    """Return the matrix that takes values about the mean temperature to those about another, degC."""
-    return at_reference(residuals, every, reference, residuals.column_means, SHIFTED)
+def _counted(hypothesis: Hypothesis, reference: Reference) -> Hypothesis:
+    """Return a settling that says which bias its amplitude counts from; anything else as it is."""
+    if not isinstance(hypothesis.effect, Warmup):
+        return hypothesis
+    return replace(hypothesis, grid={**hypothesis.grid, SETTLED: float(reference.settled)})
+
+
+def _turned(residuals: SensorResiduals, every: Sequence[Hypothesis], reference: Reference) -> Array:
+    """Return the matrix that takes values about mean temperature and start to those about a reference."""
+    matrix = at_reference(residuals, every, reference.temperature_c, residuals.column_means, SHIFTED)
+    for hypothesis, rows in zip(every, rows_of(every), strict=True):
+        if reference.settled and isinstance(hypothesis.effect, Warmup):
+            matrix[:3, rows] += np.eye(3)
+    return matrix
 
 
 def _found(exam: Examination, residuals: SensorResiduals) -> list[Stated]:

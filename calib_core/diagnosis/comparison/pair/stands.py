@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     Wanted,
     every_linear_quantity,
     kind_of,
+    settled,
     wanted_of,
 )
 from stillcal.calib_core.diagnosis.comparison.pair.vote import shares_alone
@@ -26,6 +27,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quanti
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
@@ -48,6 +50,8 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
     no_thermometer = simulated.bins.temperature is None and exam.bins.temperature is not None
     simulated = warmed(simulated, exam.bins) if no_thermometer and len(simulated.bins) else simulated
     differences = [d.difference for d in found.discrepancies if d.difference is not None]
+    later = {d.recorded.sensor for d in differences if d.recorded.reference.get(SETTLED)}
+    wanted = [settled(w) if w.hypothesis.effect.sensor in later else w for w in wanted]
     own = every_linear_quantity(simulated, wanted, _references(differences))
     own += delay_quantity(simulated).values()
     return replace(found, discrepancies=[_standing(d, own) for d in found.discrepancies])
