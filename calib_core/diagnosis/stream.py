@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,10 @@ from stillcal.calib_core.streams.samples import Samples
 
 LEAST_SAMPLES = 200
 """Samples below which nothing is judged."""
+
+LOUDEST = {"accel": 0.02, "gyro": 2e-3}
+"""Densities, m/s^2 and rad/s per sqrt(Hz), above which noise is motion. 35 real accelerometers have 0.001 to
+0.017 (still experiment of Stisen et al. 2015), gyroscopes up to 5e-4 (datasheet of the L3G4200D)."""
 
 SAME_HZ = 0.05
 """Difference of two sensors' lines that is none: what a stretch of 20 s tells apart."""
@@ -84,7 +88,7 @@ class Stream:
         heard = [middle_hz(f) for f in lines]
         still = quiet(calm, bins, heard) if lines else rests
         raw = still if calm is samples else quiet(samples, bins, heard)
-        return cls(sensor, samples, calm, bins, lines, still, raw, seen, *_noise_of(still, seen))
+        return cls(sensor, samples, calm, bins, lines, still, raw, seen, *_noise_of(still, seen, sensor))
 
     def halves(self, claims: Claims) -> list[Stream]:
         """Return the stream before and after its middle, each measured by itself."""
@@ -111,14 +115,22 @@ class Stream:
         if len(changing) < 2:
             return self.spectra, self.levels
         steady = [middle_hz(f) for f in self.lines if f.where.driver != CHANGING]
-        return _noise_of(quiet(self.calm, self.bins, steady), self.steps)
+        return _noise_of(quiet(self.calm, self.bins, steady), self.steps, self.sensor)
 
 
-def _noise_of(still: Quiet, seen: Steps) -> tuple[Spectra | None, noise.Levels | None]:
-    """Return spectra and noise levels of rests; None where steps hide it or rests are few."""
+def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, noise.Levels | None]:
+    """Return spectra and noise levels of rests; None where steps hide it or rests are few.
+
+    What is louder than any sensor's noise shakes the phone: its spectrum tells no filter of the sensor.
+    """
     floor = seen.largest**2 / (6.0 * still.rate)
     made = None if seen.hides_noise() else spectrum.judged(still, floor)
-    return made, None if made is None else noise.levels(made, floor)
+    if made is None:
+        return None, None
+    levels = noise.levels(made, floor)
+    if levels.values().min() <= LOUDEST[sensor]:
+        return made, levels
+    return replace(made, low_pass=None), replace(levels, steady=False)
 
 
 def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:

@@ -201,7 +201,8 @@ def why_no_density(stream: Stream) -> str:
         return "its noise at rest is not white over most of the band"
     if stream.levels is not None:
         return (
-            "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
+            "its noise is louder than any sensor's, or differs between rests by more than chance:"
+            " heavy tails, or something shakes the phone"
         )
     if stream.still.pieces and stream.steps.hides_noise():
         return "its values come in steps that hide the noise"

@@ -38,6 +38,8 @@ LEAST_PIECES = 3
 CLEAN = 0.02
 MODEL = 0.02
 """Relative error of a cutoff for not knowing how the filter was made."""
+FLATTENED = 1.0
+"""ln of power over a filter's, at frequencies that it suppresses: what is more is no noise of that filter."""
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
 
@@ -171,6 +173,8 @@ def _low_pass(
 
     noise: rate Hz, floor of the steps. Only what is above -15 dB counts. A spectrum that no filter fits
     cleanly is of something else, and so is one that falls all over the band: a bias that walks has such.
+    So is one that is level again beyond what falls: the sensor's own noise is not filtered there, and what
+    falls is motion, as of a vehicle.
     """
     rate, floor = noise
     power = typical.mean(axis=1)
@@ -180,27 +184,39 @@ def _low_pass(
     used = band & (logs > np.quantile(logs[band], 0.9) - USED_RANGE)
     seen = logs[used]
     cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
-    best: tuple[float, int, int, Array, Array, float] | None = None
+    fits: list[tuple[float, int, int, Array, Array, float]] = []
     for order, shapes in _shapes(f, cutoffs, rate):
         level = np.median(np.maximum(power[used] - floor, 0.2 * power[used]) / shapes[:, used], axis=1)
         models = (level[:, None] * shapes + floor) / (level[:, None] + floor)
         misfit = (seen - np.log(models[:, used])).var(axis=1)
         k = int(np.argmin(misfit))
-        if best is None or misfit[k] < best[0]:
-            best = float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)
-    assert best is not None
-    least, k, order, misfit, shape, rounded = best
+        fits.append((float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)))
+    least, k, order, misfit, shape, rounded = min(fits, key=lambda fit: fit[0])
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
     # A median of spectra on three axes scatters by pi/2 over their number.
     clean = least < CLEAN + 2.0 * np.pi / 2.0 / (3.0 * averages)
     inside = f[band][0] < cutoffs[k] <= thresholds.BANDWIDTH_LIMIT * rate
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
+    as_good = [fit[4] for fit in fits if seen.size * (fit[0] - least) / least < 4.0 * SHARED]
+    if _level_beyond(logs, np.max(as_good, axis=0), band, used):
+        return None
     near = cutoffs[seen.size * (misfit - least) / least < 4.0]
     # What steps do to noise as fine as they are is no white noise: as much as it is of the power is unsure.
     unsure = (MODEL + rounded) * float(cutoffs[k])
     spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, unsure)
     return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order, rounded)
+
+
+def _level_beyond(logs: Array, shape: Array, band: NDArray[np.bool_], used: NDArray[np.bool_]) -> bool:
+    """Whether log powers (F,) at the highest frequencies are level again, above a filter's shape (F,).
+
+    used: where the filter was fitted.
+    """
+    ratio = logs - np.log(shape)
+    beyond = np.flatnonzero(band)[np.flatnonzero(band) > np.flatnonzero(used)[-1]]
+    highest = ratio[beyond[beyond.size // 2 :]]
+    return bool(highest.size and np.median(highest) > np.median(ratio[used]) + FLATTENED)
 
 
 def _between(cutoffs: Array, misfit: Array, k: int) -> float:

@@ -36,8 +36,8 @@ TWO_SIDED = float(np.sqrt(2.0))
 class Levels:
     """White noise by axis. density: three numbers, unit/sqrt(Hz); pieces: (P, 3) the same by piece.
 
-    white: whether most of the band is flat. steady: whether rests differ no more than chance would have it.
-    least: the lowest density (3,) in the band.
+    white: whether most of the band is flat. steady: whether rests differ no more than chance would have it,
+    and it is no louder than a sensor's noise is. least: the lowest density (3,) in the band.
     """
 
     density: tuple[Measured, Measured, Measured]

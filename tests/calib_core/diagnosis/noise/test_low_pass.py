@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
 
+from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
+from stillcal.calib_core.diagnosis.stream import _noise_of
 
 RATE = 100.0
 WHITE = np.random.default_rng(8).normal(size=(20, 1000, 3))
@@ -50,3 +52,22 @@ def test_a_cutoff_is_less_sure_where_steps_are_as_coarse_as_the_noise(seed: int)
     assert coarse is not None and coarse.low_pass is not None
     for one, least in ((fine.low_pass.cutoff, 0.02), (coarse.low_pass.cutoff, 0.04)):
         assert abs(one.value - 12.0) < 3.0 * one.error and one.error >= 0.99 * least * one.value
+
+
+def test_what_shakes_the_phone_leaves_the_sensors_own_noise_and_is_no_filter() -> None:
+    """A vehicle's vibration falls with frequency as a filter does, down to noise that is not filtered."""
+
+    shaking = lfilter(*butter(2, 0.1), WHITE, axis=1)
+    found = judged(quiet(shaking))
+    assert found is not None and found.low_pass is not None
+    own = 0.03 * np.random.default_rng(9).normal(size=WHITE.shape)
+    found = judged(quiet(shaking + own))
+    assert found is not None and found.low_pass is None
+
+
+def test_noise_louder_than_any_sensors_tells_no_filter() -> None:
+    shaking = lfilter(*butter(2, 0.2), WHITE, axis=1)
+    for size, own in ((0.05, True), (0.5, False)):
+        spectra, levels = _noise_of(quiet(size * shaking), Steps(np.zeros(3), size * np.ones(3)), "accel")
+        assert spectra is not None and levels is not None
+        assert levels.own == own and (spectra.low_pass is not None) == own
