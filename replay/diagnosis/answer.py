@@ -191,8 +191,8 @@ def _finding(
         out["departure"] = asdict(one.departure) | {"probability": one.departure.probability}
     out |= {"put_right": one.put_right} if one.put_right else {}
     found = one.recorded or one.simulated
-    observed = "" if found is None else found.observed
-    out["statement"] = " ".join(filter(None, (statement(out, names, observed), one.note)))
+    observed, remark = ("", "") if found is None else (found.observed, found.remark)
+    out["statement"] = " ".join(filter(None, (statement(out, names, observed), remark, one.note)))
     out |= {"assumption": one.note} if one.note else {}
     return out | to_paste(out)
 

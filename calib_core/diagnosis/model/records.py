@@ -122,7 +122,10 @@ class Departure:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that an ideal sensor does not do. departure: None where its name's form holds."""
+    """One thing that an ideal sensor does not do.
+
+    departure: None where its name's form holds; remark: what else is to be known of it, in sentences.
+    """
 
     effect: str
     sensor: str
@@ -133,6 +136,7 @@ class Finding:
     alternatives: list[Alternative]
     statement: str
     departure: Departure | None = None
+    remark: str = ""
 
     @property
     def observed(self) -> str:

@@ -6,6 +6,7 @@ Frequency and amplitude come from the stamps themselves.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -161,15 +162,13 @@ def vibration(
         "fraction": _fraction(seen, start, end),
     }
     where = Where(start, end, (frequency - half, frequency + half), "time")
-    rate = 2.0 * float(seen.f[-1])
     vibration = "Vibration" if (start, end) == seen.whole else f"From {start:.0f} to {end:.0f} s: vibration"
     sizes = ", ".join(f"{AXES[a]} {amplitude[a]:.3g}" for a in axes)
-    say = (
-        f"{vibration} at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude"
-        f" {sizes} {UNIT[sensor]} (could be an alias of {rate - frequency:.1f} or"
-        f" {rate + frequency:.1f} Hz)."
-    )
-    return direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
+    say = f"{vibration} at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude {sizes} {UNIT[sensor]}."
+    found = direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
+    rate = 2.0 * float(seen.f[-1])
+    alias = f"It may be an alias of one at {rate - frequency:.1f} or {rate + frequency:.1f} Hz."
+    return found and replace(found, remark=alias)
 
 
 def _lasts(seen: Stretches, rows: Index) -> tuple[float, float]:

@@ -15,6 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.coherent_line import coherent_line
+from stillcal.calib_core.diagnosis.noise.harmonics import with_harmonics
 from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz, named_if_steady
 from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated, told
 from stillcal.calib_core.diagnosis.noise.steady_segments import (
@@ -72,7 +73,8 @@ def tones(samples: Samples, sensor: str) -> list[Finding]:
     steady = [] if places is None else _coherent(places, sensor, short, found)
     clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
-    return sorted(lines, key=lambda f: -_nats(f))[:MOST_LINES]
+    surest = sorted(lines, key=lambda f: -_nats(f))[:MOST_LINES]
+    return surest if places is None else with_harmonics(surest, 1.0 / places.period)
 
 
 def _same(one: Finding, other: Finding) -> bool:

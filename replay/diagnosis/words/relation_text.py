@@ -115,7 +115,7 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
     """
     text = BEGINS_WITH_BUILT_IN.sub(rf"\1{capital(THE_BUILT_IN)}", _statement(finding, names, observed))
     text += _at_temperature(finding) + _when_settled(finding) + _two_sided(finding, names[1])
-    text += _undistinguished(finding) + _departing(finding) + _exchanged(finding)
+    text += _undistinguished(finding) + _departing(finding) + _exchanged(finding) + _lasting(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -177,6 +177,15 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
     if told := finding.get("put_right"):
         return f"{shown}. {told}"
     return f"{shown}; they do not tell it from an exchange of the other sensor's axes."
+
+
+def _lasting(finding: Mapping[str, Any]) -> str:
+    """Return when there is a vibration that is there for a part of the recording; "" for anything else."""
+    own = finding["simulated" if finding["relation"] == "superfluous" else "parameters"]
+    fraction = own.get("fraction", {"value": 1.0})["value"]
+    if finding["effect"] != "vibration_tone" or float(np.max(fraction)) >= 1.0:
+        return ""
+    return f" It lasts from {finding['where']['t_start']:.0f} to {finding['where']['t_end']:.0f} s."
 
 
 def _departing(finding: Mapping[str, Any]) -> str:
