@@ -14,6 +14,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise import spectral_line
 from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER, middle_hz, scaled_bessel
+from stillcal.calib_core.diagnosis.noise.line_spectrum import faint_lines
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -135,6 +136,11 @@ def test_the_ends_of_strong_spells_make_no_other_lines() -> None:
     xyz[:, 2] += 9.81 + 0.5 * np.sin(2.0 * np.pi * 8.4 * t) * (t % 1200.0 < 300.0)
     found = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
     assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(DRIVER, 8.4)]
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-12, 1e9])
+def test_silence_has_no_lines_nor_has_noise_of_any_size(scale: float) -> None:
+    assert faint_lines(np.random.default_rng(2).normal(0.0, scale, 6000), 1.0).max() < 20.0
 
 
 def test_a_single_pause_of_a_long_vibration_is_told() -> None:
