@@ -148,9 +148,11 @@ def noise_findings(
     """Return what densities show. claim: of the same convention as the measured ones.
 
     Where something shakes the phone, the quietest rests bound the sensor's own noise from above, and no more.
+    Noise that is not white has no level: coarse steps that a slow sway crosses show only a part of it.
     """
     found = [_unequal(sensor, measured, sound, claim, where)] if measured.own else []
-    if claim is not None and (measured.own or measured.values()[_base(measured, claim)].max() < claim):
+    below = claim is not None and measured.white and measured.values()[_base(measured, claim)].max() < claim
+    if claim is not None and (measured.own or below):
         found.append(_level(sensor, measured, sound["noise_level_declared"], claim, where))
     return [f for f in found if f is not None]
 
