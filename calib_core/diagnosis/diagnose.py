@@ -217,7 +217,7 @@ def _with_motion(
     turns = None
     if len(exam.bins):
         affine, turns = turned(rates)
-    filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra is not None})
+    filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra and s.tells_filter})
     motion = shown_in_motion(
         exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
         spoiled=[*spoiled, *exam.on_limits], filters=filters,

@@ -90,6 +90,13 @@ class Stream:
         raw = still if calm is samples else quiet(samples, bins, heard)
         return cls(sensor, samples, calm, bins, lines, still, raw, seen, *_noise_of(still, seen, sensor))
 
+    @property
+    def tells_filter(self) -> bool:
+        """Whether its noise tells a low-pass, or that there is none."""
+        if self.spectra is None or self.levels is None:
+            return False
+        return self.spectra.low_pass is not None or self.levels.own
+
     def halves(self, claims: Claims) -> list[Stream]:
         """Return the stream before and after its middle, each measured by itself."""
         middle = float(self.samples.t[len(self.samples) // 2])

@@ -38,7 +38,11 @@ class FilterDelay:
 
     @classmethod
     def of(cls, spectra: Mapping[str, Spectra]) -> FilterDelay | None:
-        """Return it; None where no low-pass is seen, or both sensors have the same one."""
+        """Return it; None where no low-pass is seen, or both sensors have the same one.
+
+        spectra: of the sensors whose noise tells whether it is filtered. Where that of one does not, it may
+        have the same low-pass as the other, as most chips have, or none.
+        """
         seen = {s: one.low_pass for s, one in spectra.items() if one.low_pass is not None}
         late = {s: _late(one) for s, one in seen.items()}
         units = {s: _unit(one) for s, one in seen.items()}
@@ -49,8 +53,9 @@ class FilterDelay:
         unit = abs(units.get("gyro", 0.0) - units.get("accel", 0.0))
         own = [units[s] * one.cutoff.error / one.cutoff.value for s, one in seen.items()]
         unsure = UNSURE if all(one.order_known for one in seen.values()) else ANY_ORDER
-        error = float(np.linalg.norm([unsure * unit, *own]))
-        return cls(Measured(expected, error), sensor, spectra[sensor], unit)
+        shared = 0.5 * expected if len(spectra) < 2 else 0.0
+        error = float(np.linalg.norm([unsure * unit, *own, shared]))
+        return cls(Measured(expected - shared, error), sensor, spectra[sensor], unit)
 
     def beyond(self, delay: Measured) -> Measured:
         """Return what is left of a delay that was measured."""

@@ -10,6 +10,7 @@ from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 from stillcal.calib_core.streams.samples import Samples
@@ -61,11 +62,21 @@ def test_what_a_low_pass_does_to_fast_and_slow_motion_is_no_delay_that_grows() -
     """At 8 Hz a filter of the first order is 20 ms late, for slow motion."""
     spectra = judged(Quiet(tuple(NOISE), tuple(10.0 * i for i in range(len(NOISE))), 100.0))
     assert spectra is not None
-    filters = FilterDelay.of({"accel": spectra})
+    filters = FilterDelay.of({"accel": spectra, "gyro": replace(spectra, low_pass=None)})
     assert filters is not None and filters.delay.value == pytest.approx(-0.02, rel=0.1)
     assert filters.explains_growth(-0.006) and not filters.explains_growth(0.08)
     assert filters.explains_arm(0.002, 9.8) and not filters.explains_arm(0.01, 9.8)
     assert FilterDelay.of({"accel": spectra, "gyro": spectra}) is None
+
+
+def test_a_low_pass_may_be_the_other_sensors_too_where_its_noise_does_not_tell() -> None:
+    spectra = judged(Quiet(tuple(NOISE), tuple(10.0 * i for i in range(len(NOISE))), 100.0))
+    assert spectra is not None
+    filters = FilterDelay.of({"accel": spectra})
+    assert filters is not None
+    for delay in (0.0, -0.02):
+        beyond = filters.beyond(Measured(delay, 0.0))
+        assert abs(beyond.value) <= 1.1 * beyond.error
 
 
 NOISE = lfilter(*butter(1, 0.16), np.random.default_rng(8).normal(size=(20, 1000, 3)), axis=1)
