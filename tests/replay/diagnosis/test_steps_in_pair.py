@@ -1,4 +1,4 @@
-"""A step or a settling of bias in a recording, in a simulation of its motion, or both: who has how much."""
+"""A step, a settling or a misalignment in a recording, in a simulation of its motion, or in both: whose."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_own_of_simulation
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.effects.warmup import Warmup
@@ -51,7 +51,8 @@ def judged(real: Recording, sim: Recording, effect: Effect, grids: Sequence[Grid
         finding = Finding(effect.name, "gyro", ["x", "z"], where, {}, Evidence(50.0), [], "")
         stated.append(Stated(finding, residuals.measured(effect, grid), residuals))
     exam = replace(examined(real, search=False), bins=bins, sensors=sensors, turns=None, statements=stated)
-    found = with_own_of_simulation(compare_in_pair(exam), exam, examined(sim, search=False))
+    alike = Alignment(true, true, [], [], frozenset())
+    found = with_own_of_simulation(compare_in_pair(exam, alike), exam, examined(sim, search=False))
     return sorted(found.discrepancies, key=lambda d: d.where.t_start)
 
 
@@ -90,3 +91,16 @@ def test_a_settling_of_the_simulation_is_counted_from_the_bias_that_both_have_in
     assert one.difference is not None and one.difference.recorded.reference["settled"] == 1.0
     # From the settled bias a settling is less its amplitude times what is left of it.
     assert np.abs(one.difference.simulated.value + 5.0 * STEP).max() < 0.15 * 5.0 * np.abs(STEP).max()
+
+
+def test_a_misalignment_of_the_simulation_alone_is_all_its_own() -> None:
+    """Its rests tell half of what y adds to x: the other half is a turn of all axes."""
+    mixed = np.array([[1.0, 0.01, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+    def misaligned(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force @ mixed.T, rate
+
+    (one,) = judged(turned(1), turned(2, misaligned), Step("gyro"), [])
+    assert (one.effect, one.relation) == ("accel_scale", "superfluous")
+    assert one.difference is not None
+    assert one.difference.simulated.value.reshape(3, 3)[0, 1] == pytest.approx(-0.01, abs=5e-4)

@@ -167,12 +167,18 @@ def _standing(one: Discrepancy, own: Sequence[Quantity]) -> Discrepancy:
     simulated = next((q for q in reversed(own) if _identity(q) == _identity(apart.recorded)), None)
     if simulated is None:
         return one
-    value, covariance = _as_stated(simulated, apart)
+    laid = _laid(simulated.value.size, apart.value.size)
+    value, covariance = laid @ simulated.value, laid @ simulated.covariance @ laid.T
     had = replace(apart.recorded, value=value, covariance=covariance)
     if not had.shows():
         return one
     both = _scaled(value, apart.value) if one.effect.endswith("_scale") else value + apart.value
     more = replace(had, value=both, covariance=covariance + apart.covariance)
+    if not _as_rests_tell(more, laid).shows():
+        # The recording has none of what rests tell, so the turn of all axes besides is the simulation's too.
+        had = replace(apart.recorded, value=-apart.value, covariance=apart.covariance)
+        more = replace(more, value=np.zeros_like(both))
+        return replace(one, relation="superfluous", difference=replace(apart, recorded=more, simulated=had))
     whole = replace(apart, recorded=more, simulated=had, value=both - value)
     return replace(one, relation=whole.relation(), difference=whole)
 
@@ -188,17 +194,21 @@ def _scaled(own: Array, apart: Array) -> Array:
     return np.asarray((then @ first - np.eye(3)).ravel())
 
 
-def _as_stated(simulated: Quantity, apart: Difference) -> tuple[Array, Array]:
-    """Return a simulation's own numbers (k,) with their covariance, laid out as those of the difference.
+def _laid(own: int, k: int) -> Array:
+    """Return the matrix (k, own) that lays out a simulation's own numbers as those of the difference.
 
     An accelerometer's scale and misalignment by rests are the symmetric part of the pair's nine numbers.
     """
-    k = apart.value.size
-    if simulated.value.size == k:
-        return simulated.value, simulated.covariance
-    spread = np.zeros((3, 3, simulated.value.size))
+    if own == k:
+        return np.eye(k)
+    spread = np.zeros((3, 3, own))
     spread[range(3), range(3), range(3)] = 1.0
     for number, (a, b) in enumerate(PAIRS, start=3):
         spread[[a, b], [b, a], number] = 1.0
-    laid = spread.reshape(k, -1)
-    return laid @ simulated.value, laid @ simulated.covariance @ laid.T
+    return spread.reshape(k, -1)
+
+
+def _as_rests_tell(quantity: Quantity, laid: Array) -> Quantity:
+    """Return a quantity without what rests do not tell of it. laid: from `_laid`."""
+    told = laid @ np.linalg.pinv(laid)
+    return replace(quantity, value=told @ quantity.value, covariance=told @ quantity.covariance @ told.T)
