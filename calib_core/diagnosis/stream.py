@@ -29,7 +29,7 @@ from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line, middl
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
-from stillcal.calib_core.diagnosis.noise.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
@@ -52,8 +52,8 @@ class Stream:
     """One sensor's samples with what its rests show: steps, spectra and levels (None: too few rests).
 
     calm: the samples without single outliers, which lines, levels and steps are read from; lines: the
-    vibrations found, which are taken off what the rests show of noise (`still`); raw: the same rests with the
-    outliers.
+    vibrations found, which are taken off what the rests show of noise (`still`); period: a slower one, not
+    looked for where the lines were known; raw: the same rests with the outliers.
     """
 
     sensor: str
@@ -61,6 +61,7 @@ class Stream:
     calm: Samples
     bins: Bins
     lines: list[Finding]
+    period: Finding | None
     still: Quiet
     raw: Quiet
     steps: Steps
@@ -83,12 +84,16 @@ class Stream:
             np.sqrt(np.median([p.var(axis=0) for p in rests.pieces], axis=0)) if rests.pieces else np.zeros(3)
         )
         seen = steps(samples, sd)
-        if lines is None:
-            lines = [] if seen.hides_noise() else tones(calm, sensor)
+        period = None
+        if lines is None and not seen.hides_noise():
+            at_rest = AtRest.of(calm, sensor)
+            lines, period = tones(calm, sensor, at_rest), steady_period(calm, sensor, at_rest)
+        lines = lines or []
         heard = [middle_hz(f) for f in lines]
         still = quiet(calm, bins, heard) if lines else rests
         raw = still if calm is samples else quiet(samples, bins, heard)
-        return cls(sensor, samples, calm, bins, lines, still, raw, seen, *_noise_of(still, seen, sensor))
+        found = _noise_of(still, seen, sensor)
+        return cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found)
 
     @property
     def tells_filter(self) -> bool:
@@ -166,7 +171,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        found += [*stream.lines, steady_period(stream.calm, sensor)]
+        found += [*stream.lines, stream.period]
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])

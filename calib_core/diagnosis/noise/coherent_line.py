@@ -39,48 +39,59 @@ EDGE = 0.025
 """Weight of all tapers together, below which a rest begins or ends: one second of 20, as hands let go."""
 
 
-def coherent_line(
-    places: Places, seen: Stretches, sensor: str, between: tuple[float, float], known: Sequence[float]
-) -> Finding | None:
-    """Find the clearest line that keeps its phase; None where chance makes one as clear.
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentSpectrum:
+    """The spectrum of all rests as one series: lines that keep their phase stand out of it.
 
-    seen: the stretches of these places, without the lines that are `known`, Hz, near which none is sought;
-    between: Hz, outside which none is.
+    told: (F, 3) nats of lines, by chance exponential; f: (F,) Hz.
     """
-    rests = _Rests.of(places, seen)
-    told = np.stack([faint_lines(axis, rests.recorded) for axis in rests.series.T], axis=1)
-    f = np.arange(len(told)) * (rests.rate / (2 * (len(told) - 1)))
-    edge = round(ZEROS * ASIDE / rests.recorded)
-    free = (f > between[0]) & (f < min(between[1], NEVER * rests.rate))
-    for frequency in known:
-        free &= np.abs(f - frequency) > OWN * float(seen.f[1])
-    free[:edge] = free[-edge:] = False
-    if not free.any():
+
+    seen: Stretches
+    rests: _Rests
+    told: Array
+    f: Array
+
+    @classmethod
+    def of(cls, places: Places, seen: Stretches) -> CoherentSpectrum:
+        """Transform the stretches of these places."""
+        rests = _Rests.of(places, seen)
+        told = np.stack([faint_lines(axis, rests.recorded) for axis in rests.series.T], axis=1)
+        return cls(seen, rests, told, np.linspace(0.0, rests.rate / 2.0, len(told)))
+
+    def clearest(self, sensor: str, between: tuple[float, float], known: Sequence[float]) -> Finding | None:
+        """Find the clearest line; None where chance makes one as clear.
+
+        known: Hz, lines that the stretches are without, near which none is sought; between: Hz, outside which
+        none is.
+        """
+        f, own, edge = self.f, OWN * float(self.seen.f[1]), round(ZEROS * ASIDE / self.rests.recorded)
+        free = (f > between[0]) & (f < min(between[1], NEVER * self.rests.rate))
+        for frequency in known:
+            free &= np.abs(f - frequency) > own
+        free[:edge] = free[-edge:] = False
+        for _ in range(MOST_PASSED):
+            at = np.flatnonzero(free)
+            if not at.size:
+                return None
+            tries = float(at.size * (self.told.shape[1] + 1))
+            best, k = _clearest(self.told, at)
+            if not DirectEvidence(of_chance(-best, tries)).stated:
+                return None
+            line = _stated(sensor, self.rests, self.seen, float(f[k]), (best, tries))
+            if line is not None:
+                return line
+            free &= np.abs(f - f[k]) > own
         return None
-    for _ in range(MOST_PASSED):
-        at = np.flatnonzero(free)
-        tries = float(at.size * (told.shape[1] + 1))
-        best, k = _clearest(told, at)
-        if not DirectEvidence(of_chance(-best, tries)).stated:
-            return None
-        line = _stated(sensor, rests, seen, float(f[k]), (best, tries))
-        if line is not None:
-            return line
-        free &= np.abs(f - f[k]) > OWN * float(seen.f[1])
-        if not free.any():
-            return None
-    return None
 
+    def in_step(self, line: Finding) -> float:
+        """Return how much of a line's power its phase foretells, at most: 1 where it keeps it.
 
-def in_step(places: Places, seen: Stretches, line: Finding) -> float:
-    """Return how much of a line's power its phase foretells, at most: 1 where it keeps it.
-
-    line: a `coherent_line` of these places. What noise adds to its power is within two standard deviations.
-    """
-    rests, frequency = _Rests.of(places, seen), float(np.asarray(line.parameters["frequency"].value))
-    power = np.abs(rests.sums(seen, frequency)) ** 2 / rests.of_sums(seen)
-    above, by_chance = float((power - 1.0).sum()), 2.0 * float(np.sqrt(power.size))
-    return ((line.evidence.heldout_log_score_gain or 0.0) + by_chance) / max(above, by_chance)
+        line: of this spectrum. What noise adds to its power is within two standard deviations.
+        """
+        frequency = float(np.asarray(line.parameters["frequency"].value))
+        power = np.abs(self.rests.sums(self.seen, frequency)) ** 2 / self.rests.of_sums(self.seen)
+        above, by_chance = float((power - 1.0).sum()), 2.0 * float(np.sqrt(power.size))
+        return ((line.evidence.heldout_log_score_gain or 0.0) + by_chance) / max(above, by_chance)
 
 
 def _clearest(told: Array, at: Index) -> tuple[float, int]:

@@ -7,6 +7,8 @@ typing or a road do not.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.coherent_line import coherent_line
+from stillcal.calib_core.diagnosis.noise.coherent_line import CoherentSpectrum
 from stillcal.calib_core.diagnosis.noise.harmonics import with_harmonics
 from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz, named_if_steady
 from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated, told
@@ -65,12 +67,36 @@ PACES = (0.6, 3.0)
 CONTRAST = 5.0
 
 
-def tones(samples: Samples, sensor: str) -> list[Finding]:
-    """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, `MOST_LINES` at most."""
-    places = Places.of(samples)
-    short = stretches(places, sensor, SHORT)
-    found = _of_any_length(places, sensor, short)
-    steady = [] if places is None else _coherent(places, sensor, short, found)
+@dataclass(frozen=True, eq=False)
+class AtRest:
+    """A sensor's rests. short: their stretches of `SHORT`, None for too few."""
+
+    sensor: str
+    places: Places | None
+    short: Stretches | None
+
+    @classmethod
+    def of(cls, samples: Samples, sensor: str) -> AtRest:
+        """Lay out the rests of these samples."""
+        places = Places.of(samples)
+        return cls(sensor, places, stretches(places, sensor, SHORT))
+
+    @cached_property
+    def coherent(self) -> CoherentSpectrum | None:
+        """Their spectrum as one series, of brief stretches where none are short; None for too few."""
+        seen = self.short or stretches(self.places, self.sensor, BRIEF)
+        return None if self.places is None or seen is None else CoherentSpectrum.of(self.places, seen)
+
+
+def tones(samples: Samples, sensor: str, rests: AtRest | None = None) -> list[Finding]:
+    """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, `MOST_LINES` at most.
+
+    rests: of these samples, where they are laid out already.
+    """
+    rests = rests or AtRest.of(samples, sensor)
+    places = rests.places
+    found = _of_any_length(places, sensor, rests.short)
+    steady = [] if places is None else _coherent(places, sensor, rests.coherent, found)
     clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
     surest = sorted(lines, key=lambda f: -_nats(f))[:MOST_LINES]
@@ -92,33 +118,30 @@ def _nats(found: Finding) -> float:
 
 
 def _coherent(
-    places: Places, sensor: str, short: Stretches | None, found: Sequence[Finding]
+    places: Places, sensor: str, spectrum: CoherentSpectrum | None, found: Sequence[Finding]
 ) -> list[Finding]:
     """Return lines that keep their phase through the recording, and foretell more than those `found` do.
 
-    short: the stretches of `SHORT`; None for too few, in whose stead brief ones are taken. A line that lasts
-    for a part of the recording is foretold better by its power there. Overtones of a body are none.
+    A line that lasts for a part of the recording is foretold better by its power there. Overtones of a body
+    are none.
     """
-    seen = short or stretches(places, sensor, BRIEF)
+    if spectrum is None:
+        return []
+    seen, left = spectrum.seen, spectrum
     steady: list[Finding] = []
     tried: list[float] = []
-    left = seen
-    while seen is not None and left is not None and len(steady) < MOST_LINES and len(tried) < MOST_TRIED:
-        one = coherent_line(places, left, sensor, (LEAST_LINE_HZ, np.inf), tried)
+    while len(steady) < MOST_LINES and len(tried) < MOST_TRIED:
+        one = left.clearest(sensor, (LEAST_LINE_HZ, np.inf), tried)
         if one is None:
             break
         tried.append(middle_hz(one))
-        left = left.without(middle_hz(one), NEAR / SHORT)
+        left = CoherentSpectrum.of(places, left.seen.without(middle_hz(one), NEAR / SHORT))
         whole = np.arange(len(seen.length), dtype=np.int64)
         body = _pace(seen, whole, round(middle_hz(one) / float(seen.f[1]))) is not None
         if not body and all(_gain(one) > _gain(other) for other in found if _same(one, other)):
             steady.append(one)
     every = [*steady, *(f for f in found if not any(_same(f, one) for one in steady))]
-    return [
-        named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one])
-        for one in steady
-        if seen is not None
-    ]
+    return [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in steady]
 
 
 def _of_any_length(places: Places | None, sensor: str, short: Stretches | None) -> list[Finding]:

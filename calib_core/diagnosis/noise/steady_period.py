@@ -11,10 +11,15 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding
-from stillcal.calib_core.diagnosis.noise.coherent_line import coherent_line, in_step
+from stillcal.calib_core.diagnosis.noise.coherent_line import CoherentSpectrum
 from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz
-from stillcal.calib_core.diagnosis.noise.spectral_line import LEAST_LINE_HZ, MOST_LINES, NEAR, SHORT
-from stillcal.calib_core.diagnosis.noise.steady_segments import Places, stretches
+from stillcal.calib_core.diagnosis.noise.spectral_line import (
+    LEAST_LINE_HZ,
+    MOST_LINES,
+    NEAR,
+    SHORT,
+    AtRest,
+)
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.streams.samples import Samples
 
@@ -32,22 +37,23 @@ IN_STEP = 0.9
 exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
 
 
-def steady_period(samples: Samples, sensor: str) -> Finding | None:
-    """State, without a name, the lines below those of vibrations that keep their phase; None without one."""
-    places = Places.of(samples)
-    seen = stretches(places, sensor, SHORT)
-    if places is None or seen is None:
+def steady_period(samples: Samples, sensor: str, rests: AtRest | None = None) -> Finding | None:
+    """State, without a name, the lines below those of vibrations that keep their phase; None without one.
+
+    rests: of these samples, where they are laid out already.
+    """
+    rests = rests or AtRest.of(samples, sensor)
+    left = None if rests.short is None else rests.coherent
+    if rests.places is None or left is None:
         return None
-    lowest = max(LEAST_CYCLES / SHORT, LEAST_KEPT / (seen.whole[1] - seen.whole[0]))
+    lowest = max(LEAST_CYCLES / SHORT, LEAST_KEPT / (left.seen.whole[1] - left.seen.whole[0]))
     found: list[Finding] = []
-    left = seen
     while len(found) < MOST_LINES:
-        known = [middle_hz(f) for f in found]
-        one = coherent_line(places, left, sensor, (lowest, LEAST_LINE_HZ), known)
-        if one is None or in_step(places, left, one) < IN_STEP:
+        one = left.clearest(sensor, (lowest, LEAST_LINE_HZ), [middle_hz(f) for f in found])
+        if one is None or left.in_step(one) < IN_STEP:
             break
         found.append(one)
-        left = left.without(middle_hz(one), NEAR / SHORT)
+        left = CoherentSpectrum.of(rests.places, left.seen.without(middle_hz(one), NEAR / SHORT))
     return _unknown(found) if found else None
 
 

@@ -15,7 +15,8 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise import spectral_line
 from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER, middle_hz, scaled_bessel
 from stillcal.calib_core.diagnosis.noise.line_spectrum import faint_lines
-from stillcal.calib_core.diagnosis.noise.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.spectral_line import AtRest, tones
+from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 T = np.arange(0.0, 600.0, 0.01)
@@ -254,6 +255,9 @@ def test_stretches_of_each_length_are_laid_out_once(monkeypatch: pytest.MonkeyPa
         return own(*args)
 
     monkeypatch.setattr(spectral_line, "stretches", counted)
-    assert tones(lying(humming({30.0: 0.004})), "accel")
+    samples = lying(humming({30.0: 0.004}))
+    rests = AtRest.of(samples, "accel")
+    assert tones(samples, "accel", rests)
+    assert steady_period(samples, "accel", rests) is None
     assert asked.count(spectral_line.SHORT) == 1
     assert len(asked) == len(set(asked))
