@@ -44,6 +44,9 @@ NOTHING = 0.05
 GRID_STRIDE = 3
 """Each third point of the fine grid is a candidate in every fold: neighbours are alike."""
 
+ACROSS = float(np.log(100.0))
+"""Gain, nats, that two sizes across gravity have by chance one time in a hundred (chi-squared of two)."""
+
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
 
@@ -149,8 +152,8 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
     what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
-    the others; names are then weighed anew. A name whose sizes are not told is taken off. A course that is
-    likelier a turn of the support is left out as well.
+    the others; names are then weighed anew. A name whose sizes are not told is taken off. A course that
+    may be a turn of the support is left out as well.
     """
     while kept := adequate(steps):
         if not _stands_alone(kept[-1].winner):
@@ -192,10 +195,11 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
 
 
 def _turns(residuals: SensorResiduals, own: Hypothesis, others: Sequence[Hypothesis]) -> bool:
-    """Whether a nameless course of the gyroscope's bias is likelier as a turn of the support about gravity.
+    """Whether a nameless course of the gyroscope's bias may as well be a turn of the support about gravity.
 
     A bias belongs to the body's axes and has a size on each; such a turn has one about gravity, whatever the
-    attitude. In one attitude it is a bias of certain sizes, and never the likelier of the two.
+    attitude. In one attitude it is a bias of certain sizes: it is the turn unless the sizes across gravity
+    gain more than `ACROSS`.
     """
     effect, up = own.effect, residuals.up
     if residuals.sensor != "gyro" or residuals.turns or up is None:
@@ -206,7 +210,7 @@ def _turns(residuals: SensorResiduals, own: Hypothesis, others: Sequence[Hypothe
     turn = replace(own, columns=residuals.columns_of(up[:, :, None] * course[:, None, :]))
     reduced = reduce_residuals(residuals, [own, turn], others)
     bias, motion = (fit_hypothesis(reduced, h).log_likelihood for h in (0, 1))
-    return motion > bias
+    return motion > bias - ACROSS
 
 
 def _unsized(found: Estimate) -> bool:

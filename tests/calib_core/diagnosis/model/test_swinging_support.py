@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.effects.unknown import UnknownCurve
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.rates import tilt_rate
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.turning_support import turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from stillcal.calib_core.diagnosis.slow.findings import _turns, slow_findings
 from stillcal.calib_core.maths.rms import rms
 from tests.calib_core.diagnosis.slow.test_between_rest_variance import by_rest, short_rests
 from tests.support.diagnosis import nulls
@@ -52,6 +54,20 @@ def test_a_steady_swing_is_no_period_of_the_bias_and_a_period_of_the_bias_is() -
     biased = nulls.bins_of(rng, day, "white", gyro_error=np.array([2e-3, -1e-3, 1e-3]) * wave)
     found = slow_findings(by_sensor(biased, nulls.G)[1])
     assert "a period in time" in {f.where.driver for f in found}
+
+
+def test_in_one_rest_what_is_along_gravity_alone_may_be_a_turn() -> None:
+    """Someone with the phone in a pocket turns in a chair for half a minute."""
+    rng, day = in_ten_attitudes(2)
+    then = (day.rest == 4) & (day.t - day.t[day.rest == 4].min() < 30.0)
+    across = np.cross(day.up, np.array([0.0, 0.6, 0.8]))
+    for direction, turns in ((day.up, True), (day.up + 2.0 * across, False)):
+        bins = nulls.bins_of(rng, day, "white", gyro_error=1e-3 * direction * then[:, None])
+        residuals = by_sensor(bins, nulls.G)[1]
+        inside = np.interp(residuals.moments.t, day.t, then)
+        columns = residuals.columns_of(inside[:, None, None] * np.eye(3))
+        curve = UnknownCurve("gyro", "a stretch of time", lambda _: None)
+        assert _turns(residuals, Hypothesis(curve, {}, columns), []) == turns
 
 
 def test_a_turn_about_gravity_is_told_from_a_bias_that_is_another_in_every_rest() -> None:
