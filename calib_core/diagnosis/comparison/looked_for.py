@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.noise import why_no_density
+from stillcal.calib_core.diagnosis.comparison.noise import BLURRED, why_no_density
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
@@ -259,7 +259,7 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
     tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream)
     yield Check("vibration_tone", sensor, tone)
     noise = few or coarse or restless or (None if stream.levels is not None else why_no_density(stream))
-    blurred = "its values come in steps larger than the noise" if stream.steps.blurs_level() else None
+    blurred = BLURRED if stream.steps.blurs_level() else None
     wide = None if "noise_heavy_tailed" not in stated else "heavy tails stand in the way"
     unclaimed = f"the datasheet's noise is not given (add {sensor}_noise_density to NAME.json)"
     claimed = noise_level.claimed(sensor, exam.claims) is not None

@@ -49,6 +49,7 @@ ALIKE_CUTOFF = 0.05
 """Relative difference of two cutoffs that is none: they depend on the shape that is fitted."""
 
 LOW_PASS = "bandwidth"
+BLURRED = "its values come in steps larger than the noise"
 LEVEL, UNEQUAL = OF_DENSITY = ("noise_level", "noise_unequal_axes")
 """Names of a difference between two densities of white noise: on any axes, or on one beside the others."""
 
@@ -214,9 +215,13 @@ def slow_noise(
 ) -> Quantity | None:
     """Return the Allan deviation of the bias at `AVERAGED`, logarithms; None without rests that long.
 
+    None as well where values come in steps larger than the noise: what these leave in means is no wander.
+
     It is averaged over the noise shapes by their posterior, the effects that were found and those `asked` for
     taken out first.
     """
+    if any(s.sensor == residuals.sensor and s.steps.blurs_level() for s in exam.streams):
+        return None
     explained = [
         s.hypothesis for s in exam.statements if s.residuals is residuals and s.hypothesis is not None
     ]

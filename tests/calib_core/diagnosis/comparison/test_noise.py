@@ -47,3 +47,15 @@ def test_slow_noise_is_the_allan_deviation_of_averages_over_100_s() -> None:
     slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
     assert slow is not None
     assert np.exp(slow.value).mean() == pytest.approx(floor, rel=0.25)
+
+
+def test_what_steps_larger_than_the_noise_leave_in_means_is_no_slow_noise() -> None:
+    rng, t = np.random.default_rng(6), np.arange(15000) / 25.0
+    still = np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(t.size, 3))
+    rates = np.array([0.4e-3, 0.5e-3, 0.0]) + 2.4e-4 * rng.normal(size=(t.size, 3))
+    rates[:40] += np.linspace(-0.05, 0.05, 40)[:, None]
+    for step, told in ((1e-4, True), (1e-3, False)):
+        gyroscope = Samples(Sensor.GYROSCOPE, t, step * np.rint(rates / step))
+        exam = examine(Samples(Sensor.ACCELEROMETER, t, still), gyroscope, search=False)
+        slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
+        assert (slow is not None) == told
