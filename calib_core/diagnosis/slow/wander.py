@@ -133,6 +133,13 @@ def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Findi
     return [_without_name(residuals, by_axis, axes, limit)] if axes else []
 
 
+def log_evidence(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> float:
+    """Return the evidence, nats, for wander beyond what a phone may have, on the axis that shows it best."""
+    limit = thresholds.RANDOM_WALK[residuals.sensor]
+    seen = [w for v, w in zip(residuals.views, wanders_of(reduced), strict=True) if v.name != "tangent"]
+    return max(w.log_bayes_factor(limit) for w in seen)
+
+
 def _random_walk(
     residuals: SensorResiduals, by_axis: Sequence[Wander], axes: list[str], limit: float
 ) -> Finding:

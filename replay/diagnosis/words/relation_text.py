@@ -205,16 +205,10 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
     name = _clearest(finding)
     relation = finding["relation"]
     if finding["effect"] == "unknown":
-        superfluous = relation == "superfluous"
-        owner, other = (simulation, recording) if superfluous else (recording, simulation)
-        side = "simulated" if superfluous else "parameters"
-        seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
-        driver = finding["where"]["driver"]
-        if finding.get("of_either"):
-            differ = f"{recording} and {simulation} differ by {what}{seen}; it follows {driver}."
-            return " ".join(filter(None, (differ, observed, OF_EITHER)))
-        shows = f"{owner} shows {what}{seen}; it follows {driver}."
-        return " ".join(filter(None, (shows, observed, f"{other} does not show it.")))
+        return _nameless(finding, recording, simulation, observed)
+    if finding.get("of_either"):
+        differ = f"{recording} and {simulation} differ by the {what}: {_every(finding, 'parameters')}."
+        return f"{differ} {OF_EITHER}"
     if relation == "lacking" and finding["effect"] in CONSTANTS:
         by = _every(finding, "difference")
         return f"The {what} of {recording} differs from that of {simulation} by {by}. Add it."
@@ -226,6 +220,21 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
         own = _every(finding, "simulated")
         return f"{simulation} has what {recording} does not show: {what}, {own}. Take it out."
     return _of_both(finding, recording, simulation, name)
+
+
+def _nameless(finding: Mapping[str, Any], recording: str, simulation: str, observed: str) -> str:
+    """Return what is said of something without a name."""
+    what = noun(finding["effect"], finding["sensor"])
+    superfluous = finding["relation"] == "superfluous"
+    owner, other = (simulation, recording) if superfluous else (recording, simulation)
+    side = "simulated" if superfluous else "parameters"
+    seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
+    driver = finding["where"]["driver"]
+    if finding.get("of_either"):
+        differ = f"{recording} and {simulation} differ by {what}{seen}; it follows {driver}."
+        return " ".join(filter(None, (differ, observed, OF_EITHER)))
+    shows = f"{owner} shows {what}{seen}; it follows {driver}."
+    return " ".join(filter(None, (shows, observed, f"{other} does not show it.")))
 
 
 def _of_both(finding: Mapping[str, Any], recording: str, simulation: str, name: str | None) -> str:

@@ -1,4 +1,4 @@
-"""Something nameless that a recording and a simulation of its motion differ by: whose it is."""
+"""Wander, or something nameless, that a recording and a simulation of its motion differ by: whose it is."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_re
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_owner_of_unknown
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
 from stillcal.calib_core.diagnosis.effects.unknown import Unknown
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.diagnosis.paired import less
@@ -93,3 +95,26 @@ def test_the_bins_in_which_a_course_jumps_are_no_motion() -> None:
     _, residuals, hypothesis = found_in_pair(0.0, 1.0)
     left = left_in_motion(residuals, [hypothesis])
     assert left is not None and left.finding(residuals) is None
+
+
+@pytest.mark.parametrize(("name", "driver"), [("gyro_bias_random_walk", "nothing"), ("unknown", NO_DRIVER)])
+def test_wander_is_of_the_one_whose_own_rests_wander(name: str, driver: str) -> None:
+    """A variance has no sign that would tell whose it is."""
+
+    def wandering(force: Array, rate: Array) -> tuple[Array, Array]:
+        steps = np.random.default_rng(3).normal(0.0, 5e-4 / np.sqrt(RATE), rate.shape)
+        return force, rate + np.cumsum(steps, axis=0)
+
+    exams = [examined(one, search=False) for one in (turned(1), turned(2, wandering))]
+    where, size = Where(0.0, 1.0, (0.0, 0.05), driver), Parameter([5e-4] * 3, None, "rad/s/sqrt(s)")
+    density = "density" if name.endswith("walk") else "size"
+    said = Finding(name, "gyro", ["x"], where, {density: size}, Evidence(50.0), [], "")
+    pair = replace(exams[0], statements=[Stated(said)])
+    found = Comparison([sole_discrepancy((said, True), 0.97)])
+    (one,) = with_owner_of_unknown(found, pair, *exams).discrepancies
+    assert (one.relation, one.of_either) == ("superfluous", False)
+    (one,) = with_owner_of_unknown(found, pair, *exams[::-1]).discrepancies
+    assert (one.relation, one.of_either) == ("lacking", False)
+    (one,) = with_owner_of_unknown(found, pair, exams[0], exams[0]).discrepancies
+    told = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1.0, 1.0), {}, None)
+    assert "is not known" in told["findings"][0]["statement"]

@@ -30,11 +30,15 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER, log_evidence
+
+WALK = "_bias_random_walk"
+"""How the name of wander ends, where it has one."""
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
@@ -60,15 +64,15 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
 def with_owner_of_unknown(
     found: Comparison, exam: Examination, recorded: Examination, simulated: Examination
 ) -> Comparison:
-    """Return a comparison that says whose each difference without a name is, or that this is not known.
+    """Return a comparison that says whose wander and what has no name are, or that this is not known.
 
     exam: of the pair; recorded, simulated: of each of the two by itself, not searched. The course that was
-    found in the pair is the one's whose own rests hold it.
+    found in the pair is the one's whose own rests hold it, and wander the one's whose own rests wander.
     """
     stated = {id(s.finding): s for s in exam.statements}
     out = []
     for one in found.discrepancies:
-        if one.effect == "unknown":
+        if one.effect == "unknown" or one.effect.endswith(WALK):
             said = stated.get(id(one.recorded))
             beside = [s for s in exam.statements if s is not said]
             alone = [0.0 if said is None else _shown_at_rest(said, beside, e) for e in (recorded, simulated)]
@@ -95,9 +99,11 @@ def _owned(one: Discrepancy, said: Stated | None, alone: Array) -> Discrepancy:
 def _shown_at_rest(said: Stated, beside: Sequence[Stated], alone: Examination) -> float:
     """Return how much the rests of one recording by itself speak for what a pair shows, nats; at least 0."""
     residuals = next((s for s in alone.sensors if s.sensor == said.finding.sensor), None)
-    if said.hypothesis is None or said.residuals is None or residuals is None:
+    if residuals is None or len(residuals.bins) < thresholds.LEAST_BINS:
         return 0.0
-    if len(residuals.bins) < thresholds.LEAST_BINS:
+    if said.finding.effect.endswith(WALK) or said.finding.where.driver == NO_DRIVER:
+        return max(log_evidence(residuals, reduce_residuals(residuals, [nothing(residuals)])), 0.0)
+    if said.hypothesis is None or said.residuals is None:
         return 0.0
     own = _read_at(residuals, said.hypothesis, said.residuals)
     if not any(columns.any() for columns in own.columns):
@@ -120,7 +126,8 @@ def _read_at(residuals: SensorResiduals, hypothesis: Hypothesis, pair: SensorRes
 
 def _turned_about(said: Stated) -> Finding:
     """Return what the recording shows against the simulation as what the simulation has: its negative."""
-    assert said.hypothesis is not None, "only what has a course is the simulation's"
+    if said.hypothesis is None:  # a size, which has no sign
+        return said.finding
     linear = {p.name for p in said.hypothesis.effect.parameters}
     own = {name: _negative(p) if name in linear else p for name, p in said.finding.parameters.items()}
     return replace(said.finding, parameters=own)
