@@ -30,9 +30,10 @@ from stillcal.calib_core.diagnosis.noise.steady_segments import (
 from stillcal.calib_core.maths.chi_squared import exceeded
 from stillcal.calib_core.streams.samples import Samples
 
-BRIEF, SHORT, LONG = 8.0, 20.0, 60.0
+MOMENT, BRIEF, SHORT, LONG = 5.0, 8.0, 20.0, 60.0
 """s of a stretch: short ones tell when a line comes and goes, long ones, or as long as a rest and no shorter
-than short ones, show faint lines, brief ones are for rests that hold no others."""
+than short ones, show faint lines, brief ones are for rests that hold no others, and those of a moment for
+what single short ones show."""
 
 PLAIN = 46.0
 """Nats for a line from which short stretches show it well enough (a chance of 1e-20)."""
@@ -145,27 +146,35 @@ def _coherent(
 
 
 def _of_any_length(places: Places | None, sensor: str, short: Stretches | None) -> list[Finding]:
-    found = _lines(sensor, short)
+    found, more = _lines(sensor, short)
     plain = [f for f in found if _nats(f) > PLAIN]
     if len(plain) == MOST_LINES:
         return plain
-    faint = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain)
+    faint, _ = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain)
     apart = NEAR / SHORT
     lines = [*plain, *faint]
     lines += [f for f in found if all(abs(middle_hz(f) - middle_hz(other)) > apart for other in lines)]
     if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
-        return _lines(sensor, stretches(places, sensor, BRIEF))
+        return _lines(sensor, stretches(places, sensor, BRIEF))[0]
+    if short is not None and more and len(lines) < MOST_LINES:
+        lines += [f for f in _lines(sensor, stretches(places, sensor, MOMENT), lines)[0] if _narrow(short, f)]
     return lines
 
 
-def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> list[Finding]:
+def _narrow(seen: Stretches, line: Finding) -> bool:
+    """Whether a line is narrow in these stretches too, those that hold a part of it."""
+    rows = np.flatnonzero((seen.span[:, 1] > line.where.t_start) & (seen.span[:, 0] < line.where.t_end))
+    return narrow(profile(seen, rows, round(middle_hz(line) / float(seen.f[1]))), 3 * rows.size)
+
+
+def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> tuple[list[Finding], bool]:
     """Return the lines of some stretches, one after the other, each without those before; not `known` ones.
 
     Where the strongest that stands out is none, as it is brief, broad or of a body, it is passed over. One
-    that comes and goes has no name.
+    that comes and goes has no name. Also returned is whether single stretches show more.
     """
     if seen is None:
-        return []
+        return [], False
     apart = NEAR * float(seen.wider.max() * seen.f[1])
     left = seen
     for one in known:
@@ -191,7 +200,9 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         left = left.without(middle_hz(line), apart)
         ratio = left.ratio()
     every = [*known, *found]
-    return [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in found]
+    named = [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in found]
+    above = left.free & (seen.f > LEAST_LINE_HZ)
+    return named, bool((ratio[:, above] > _plain(ratio.size)).any())
 
 
 def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:

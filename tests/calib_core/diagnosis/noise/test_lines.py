@@ -159,8 +159,23 @@ def test_a_brief_or_broad_strong_one_hides_no_steady_one(*, steady: bool) -> Non
     brief = 0.2 * np.sin(2.0 * np.pi * 11.0 * T) * (T < 50.0)
     broad = 0.1 * np.sin(2.0 * np.pi * 20.0 * T + np.cumsum(rng.normal(0.0, 0.2, T.size)))
     line = humming({31.7: 0.004}) if steady else np.zeros(T.size)
-    for strong in (brief, broad):
-        assert heard(strong + line) == ([31.7] if steady else [])
+    for strong, own in ((brief, [11.0]), (broad, [])):
+        assert heard(strong + line) == own + ([31.7] if steady else [])
+
+
+@pytest.mark.parametrize(("width", "lines"), [(0.0, [11.0]), (0.5, [])])
+def test_a_vibration_of_half_a_minute_is_told_with_its_time_and_a_hand_is_none(
+    width: float, lines: list[float]
+) -> None:
+    """A hand trembles at frequencies `width` Hz apart, at a phase that it soon forgets."""
+    wander = np.cumsum(np.random.default_rng(5).normal(0.0, np.sqrt(2.0 * np.pi * width * 0.01), T.size))
+    there = (T > 200.0) & (T < 230.0)
+    found = tones(lying(0.05 * np.sin(2.0 * np.pi * 11.0 * T + wander) * there), "accel")
+    assert [round(middle_hz(f), 1) for f in found] == lines
+    for line in found:
+        assert line.effect == "vibration_tone" and line.axes == ["z"]
+        assert (line.where.t_start, line.where.t_end) == pytest.approx((200.0, 230.0), abs=5.0)
+        assert line.parameters["amplitude"].value[2] == pytest.approx(0.05, rel=0.15)  # type: ignore[index]
 
 
 @pytest.mark.parametrize("steady", [True, False])
