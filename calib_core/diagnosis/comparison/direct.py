@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -183,6 +184,23 @@ def partner(finding: Finding, own: Sequence[Finding], others: Sequence[Finding])
     if pair is None or LINE not in finding.parameters:
         return pair
     return pair if pair_of(pair, own) is finding else None
+
+
+def same_step(finding: Finding, other: Examination) -> Finding | None:
+    """Return a finding of coarse values with the step of another recording, where that is the same one.
+
+    Under louder noise, as at a higher rate, the same step is no finding. None where the step is another.
+    """
+    streams = [s for s in other.streams if s.sensor == finding.sensor]
+    if not finding.effect.endswith("_quantisation") or not streams:
+        return None
+    own = finding.parameters["step"]
+    step = float(np.median(streams[0].steps.step[[AXES.index(a) for a in finding.axes]]))
+    ratio = step / float(np.asarray(own.value))
+    if abs(ratio - 1.0) > ALIKE:
+        return None
+    low, high = np.ravel(own.ci95) * ratio
+    return replace(finding, parameters={"step": Parameter(step, [float(low), float(high)], own.unit)})
 
 
 def _octaves(one: Finding, other: Finding) -> float:

@@ -10,6 +10,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     direct_statements,
     partner,
     quantities_of,
+    same_step,
     stamp_quantities,
     why_not_shown,
 )
@@ -108,6 +109,10 @@ def differences_of_samples(
             pair = partner(finding, own, others)
             if pair is not None:
                 both += _paired(finding, pair) if of_recording else []
+                continue
+            measured = same_step(finding, exams[other])
+            if measured is not None:
+                both += _paired(*((finding, measured) if of_recording else (measured, finding)))
                 continue
             unlooked = reasons[other].get((finding.effect, finding.sensor))
             reason = why_not_shown(finding, exams[other]) or unlooked

@@ -6,10 +6,16 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.direct import pair_of, partner, quantities_of, stamp_quantities
+from stillcal.calib_core.diagnosis.comparison.direct import (
+    pair_of,
+    partner,
+    quantities_of,
+    same_step,
+    stamp_quantities,
+)
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
-from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -137,3 +143,20 @@ def test_a_phone_that_is_never_at_rest_is_not_said_to_have_steps_that_hide_its_n
     exam = examine(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), None, search=False)
     reasons = {c.effect: c.reason for c in checks_of(exam, []) if c.sensor == "accel"}
     assert reasons["vibration_tone"] == reasons["noise_heavy_tailed"] == "0 static intervals, 3 are needed"
+
+
+def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
+    rng, t = np.random.default_rng(4), np.arange(0.0, 300.0, 0.02)
+
+    def stepped(step: float, noise: float) -> Examination:
+        xyz = np.array([0.3, 0.2, 9.81]) + rng.normal(0.0, noise, (t.size, 3))
+        xyz[:50] += np.linspace(0.0, 2.0, 50)[:, None]
+        return examine(Samples(Sensor.ACCELEROMETER, t, step * np.rint(xyz / step)), None, search=False)
+
+    found = [s.finding for s in stepped(0.04, 0.006).statements]
+    assert [f.effect for f in found] == ["accel_quantisation"]
+    louder, finer = stepped(0.04, 0.05), stepped(0.004, 0.015)
+    assert not louder.statements and not finer.statements
+    same = same_step(found[0], louder)
+    assert same is not None and same.parameters["step"].value == pytest.approx(0.04, rel=1e-3)
+    assert same_step(found[0], finer) is None
