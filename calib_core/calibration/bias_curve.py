@@ -38,10 +38,11 @@ from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.charger import FULL_K
-from stillcal.calib_core.temperature.forecast import Forecast
+from stillcal.calib_core.temperature.forecast import UNSEEN_S, Forecast
 from stillcal.calib_core.temperature.memory import MAX_AGE_S, Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
+    BREAK,
     GYROSCOPE,
     HIDDEN,
     POWERS,
@@ -240,7 +241,24 @@ def _learn(
     else:
         silent = term is None and not thermometer.mostly_known
         learnt = learn_by(charger if silent and charger.mostly_known else thermometer)
-    return _with_unfollowed(learnt, thermometer, term=term, before=before, t=t)
+    return _with_unseen(_with_unfollowed(learnt, thermometer, term=term, before=before, t=t), memory)
+
+
+_USUAL_RESTS = 2
+"""Rests after a time without one that are taken to have been off as stated, before any other are met."""
+
+
+def _with_unseen(learnt: Learnt, memory: Memory) -> Learnt:
+    """Return what was learnt, with how far off rests were that came after a time without one.
+
+    A phone that is in use shows no rest, and warms up: what rests say of each other is too certain there.
+    The first rest after it still shows most of that.
+    """
+    after = memory.since[1:] >= UNSEEN_S
+    off = np.minimum(np.abs(learnt.errors / learnt.errors_sd)[1:][after], BREAK)
+    mean_square = (_USUAL_RESTS + float((off**2).sum())) / (_USUAL_RESTS + off.size)
+    forecast = replace(learnt.forecast, rested_at=float(memory.t[-1]), unseen=max(mean_square, 1.0) ** 0.5)
+    return replace(learnt, forecast=forecast)
 
 
 def _with_unfollowed(

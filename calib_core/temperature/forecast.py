@@ -13,6 +13,9 @@ from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
 
 _LEAST_SPAN_K = 1.0
 
+UNSEEN_S = 600.0
+"""s: where no rest has come for so long, the phone may be in use, and warmer than rests have shown it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class Forecast:
@@ -30,6 +33,8 @@ class Forecast:
     known. by_charger: whether all temperatures here are those that the charger stands in for, in K
     (charger.py). unfollowed: (3,) how far the bias is expected to move with a temperature that it was learnt
     to follow and that is not believed or not known now; zero where there is none. unfollowed_since: s.
+    rested_at: s, time of the newest rest, None where unknown. unseen: by how many of their standard
+    uncertainties rests were off (root mean square, 1 at least) that came after UNSEEN_S without a rest.
     """
 
     at: float
@@ -48,6 +53,8 @@ class Forecast:
     by_charger: bool = False
     unfollowed: Array = field(default_factory=lambda: frozen(np.zeros(3)))
     unfollowed_since: float | None = None
+    rested_at: float | None = None
+    unseen: float = 1.0
 
     @property
     def wander(self) -> Wander:
@@ -69,7 +76,7 @@ class Forecast:
         the charger stands in for. stray_k: K, standard uncertainty of the temperature, for its age. Without a
         temperature, it is taken to be anywhere in the span of the rests.
         """
-        grown, lags_s = self.wander.growth(t - self.at) + self.unfollowed**2, LAGS_S
+        lags_s = LAGS_S
         if self.by_charger:
             lags_s = CHARGER_LAGS_S
             celsius, lagged = (None, None) if charged is None else (float(charged[0]), charged[1:])
@@ -77,17 +84,16 @@ class Forecast:
             known_to = float(np.hypot(self.thermometer_sd, 0.0 if self.by_charger else stray_k))
             own = felt(np.array([np.nan]), lagged, self.lag_s, lags_s)[0] if self.lag_s else celsius
             if np.isfinite(own):
-                return np.sqrt(self._variance(float(own), self.error, known_to) + grown)
+                return self._stated(self._squares(float(own), self.error, known_to), t)
             either = float(np.hypot(known_to, self.behind_sd))
-            return np.sqrt(self._variance(celsius, self.error, either) + grown)
+            return self._stated(self._squares(celsius, self.error, either), t)
         error = np.vstack((self.error[:1], self.curve))
-        unknown = [self._variance(float(c), error, 0.0) for c in np.linspace(*self._span(), 7)]
-        total: Array = np.sqrt(np.mean(unknown, axis=0) + grown)
-        return total
+        unknown = [self._squares(float(c), error, 0.0) for c in np.linspace(*self._span(), 7)]
+        return self._stated(np.mean(unknown, axis=0), t)
 
     def of_fit(self) -> Forecast:
-        """Return the forecast without what is `unfollowed`: how certain the fit to the rests is."""
-        return replace(self, unfollowed=frozen(np.zeros(3)), unfollowed_since=None)
+        """Return the forecast without what is unfollowed or unseen: how certain the fit to the rests is."""
+        return replace(self, unfollowed=frozen(np.zeros(3)), unfollowed_since=None, unseen=1.0)
 
     def at_reference(self, t: float) -> Array:
         """Return the standard uncertainty (3,) of the bias at t (s) and the reference temperature."""
@@ -109,16 +115,31 @@ class Forecast:
             return self.reference - _LEAST_SPAN_K, self.reference + _LEAST_SPAN_K
         return self.temperature_min, self.temperature_max
 
-    def _variance(self, celsius: float, error: Array, thermometer_sd: float) -> Array:
-        """Return the mean square error (3,) of the bias at a temperature, with an expected error (4, 3)."""
+    def _stated(self, squares: Array, t: float) -> Array:
+        """Return the standard uncertainty (3,) at t (s). squares: (2, 3), as `_squares` has them.
+
+        What is unfollowed and what is unseen are both for want of a temperature, and the larger counts.
+        """
+        variance, expected = squares
+        variance = variance + self.wander.growth(t - self.at)
+        hidden = np.square(self.unfollowed)
+        if self.rested_at is not None and t - self.rested_at >= UNSEEN_S:
+            hidden = np.maximum(hidden, (self.unseen**2 - 1.0) * variance)
+        return np.asarray(np.sqrt(variance + expected + hidden))
+
+    def _squares(self, celsius: float, error: Array, thermometer_sd: float) -> Array:
+        """Return the variance of the bias at a temperature, and the square of its expected error, (2, 3).
+
+        error: (4, 3) the coefficients of that.
+        """
         at = np.array([celsius])
         basis = np.concatenate(([1.0], curve_basis(at, self.reference)[0]))
         rows = np.kron(basis, np.eye(3))
         slope = (curve_basis(at + 0.5, self.reference) - curve_basis(at - 0.5, self.reference))[
             0
         ] @ self.curve
-        total: Array = np.diag(rows @ self.covariance @ rows.T) + (slope * thermometer_sd) ** 2
-        return total + (basis @ error) ** 2
+        variance = np.diag(rows @ self.covariance @ rows.T) + (slope * thermometer_sd) ** 2
+        return np.stack((variance, (basis @ error) ** 2))
 
 
 def plausible(celsius: Array) -> Array:

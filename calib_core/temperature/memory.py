@@ -43,7 +43,8 @@ class Memory:
     t: (n,) s, middle of the rest. celsius: (n,) degC, NaN where unknown. force, force_sd: (n, 3) raw m/s^2
     and standard uncertainty. rate, rate_sd: (n, 3) raw rad/s, NaN without a gyroscope. gravity: (n,) m/s^2 at
     the place of the rest. lagged: (n, k) degC, of sensors that follow the thermometer with each of LAGS_S.
-    charged: (n, 1 + k) K, the charger's readings, as Charger.course has them.
+    charged: (n, 1 + k) K, the charger's readings, as Charger.course has them. since: (n,) s, between the rest
+    before, kept or not, and this one; NaN where unknown.
     """
 
     t: Array = field(default_factory=lambda: _empty(0))
@@ -55,6 +56,7 @@ class Memory:
     gravity: Array = field(default_factory=lambda: _empty(0))
     lagged: Array = field(default_factory=lambda: _empty(0, len(LAGS_S)))
     charged: Array = field(default_factory=lambda: _empty(0, 1 + len(CHARGER_LAGS_S)))
+    since: Array = field(default_factory=lambda: _empty(0))
 
     def __post_init__(self) -> None:
         for name in ("force", "force_sd", "rate", "rate_sd"):  # an empty table is read back without columns
@@ -63,6 +65,8 @@ class Memory:
             shape = (len(self.t), k)
             if np.shape(getattr(self, name)) != shape:  # a state saved before these were learnt has none
                 object.__setattr__(self, name, frozen(np.full(shape, np.nan)))
+        if len(self.since) != len(self.t):
+            object.__setattr__(self, "since", frozen(np.full(len(self.t), np.nan)))
 
     def __len__(self) -> int:
         return len(self.t)
@@ -71,8 +75,9 @@ class Memory:
         """Return the memory with one rest more, without old ones and without the most crowded one."""
         none = np.full(3, np.nan)
         has_rate = rest.rate is not None and rest.rate_uncertainty is not None
+        middle = 0.5 * (rest.t_start + rest.t_end)
         row: tuple[Any, ...] = (
-            0.5 * (rest.t_start + rest.t_end),
+            middle,
             np.nan if rest.temperature is None else rest.temperature,
             rest.specific_force,
             rest.force_uncertainty,
@@ -81,6 +86,7 @@ class Memory:
             gravity,
             np.full(len(LAGS_S), np.nan) if rest.lagged is None else rest.lagged,
             np.full(1 + len(CHARGER_LAGS_S), np.nan) if rest.charged is None else rest.charged,
+            middle - self.t[-1] if len(self) else np.nan,
         )
         longer = self._of(
             np.concatenate((column, [v])) for column, v in zip(self._columns(), row, strict=True)

@@ -32,6 +32,7 @@ from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import MAX_AGE_S, Memory
 from stillcal.calib_core.temperature.thermometer import Thermometer
 
@@ -309,6 +310,41 @@ def test_what_a_curve_showed_is_stated_while_no_temperature_is_believed(
     assert stated.unfollowed == pytest.approx(np.abs(RATE_SLOPE) * 8.0, rel=0.4)
     later = learn_gyroscope(memory, record, stated.unfollowed_since + MAX_AGE_S + HOUR, SETTINGS)
     assert later is not None and later.forecast.unfollowed_since is None
+
+
+def used_now_and_then(seed: int, warmer: float) -> list[RestState]:
+    """Return two days of rests of a phone without a thermometer.
+
+    It lies for two hours, with a rest every nine minutes, and is used for one, by which it gets warmer (K).
+    """
+    rng, rests = np.random.default_rng(seed), []
+    for rest in lived(48.0, seed, slopes=0.0, read=lambda t, celsius: None, every_s=540.0):
+        into = rest.t_start % (3 * HOUR)
+        assert rest.rate is not None
+        used = warmer * rng.normal(1.0, 0.3) * (into < 540.0)
+        if into < 2 * HOUR:
+            rests.append(structs.replace(rest, rate=frozen(rest.rate + used * RATE_SLOPE)))
+    return rests
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_how_far_off_rests_are_after_use_is_stated_while_a_phone_shows_no_rest(seed: int) -> None:
+    """What rests say of each other is too certain for a phone in use; the first rest after it shows that."""
+
+    def learnt(warmer: float) -> tuple[Forecast, float]:
+        rests = used_now_and_then(seed, warmer)
+        found = learn_gyroscope(remembered(rests), gyroscope_record(), rests[-1].t_end, SETTINGS)
+        assert found is not None
+        return found.forecast, rests[-1].t_end - 15.0
+
+    forecast, rested_at = learnt(warmer=6.0)
+    assert forecast.rested_at == pytest.approx(rested_at)
+    of_fit, soon, late = (
+        f.bias_uncertainty(rested_at + age, None).max()
+        for f, age in ((forecast.of_fit(), 601.0), (forecast, 599.0), (forecast, 601.0))
+    )
+    assert soon == pytest.approx(of_fit, rel=0.01) and late > 1.5 * of_fit
+    assert learnt(warmer=0.0)[0].unseen < 1.3
 
 
 def off_by(record: CalibrationRecord, celsius: float, step: Array | float = 0.0) -> float:

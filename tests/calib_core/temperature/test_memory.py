@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import frozen
@@ -32,6 +33,19 @@ def test_a_rare_temperature_and_a_rare_attitude_outlast_a_crowd() -> None:
     assert memory.celsius.max() == 35.0 and memory.force[:, 2].min() < 0.0
     assert memory.t[-1] == crowd[-1].t_start + 10.0
     assert (np.diff(memory.t) > 0).all()
+
+
+def test_how_long_no_rest_had_come_is_remembered_where_the_rest_before_has_gone() -> None:
+    memory = filled([*(rest(60.0 * k) for k in range(MOST_RESTS)), rest(60.0 * MOST_RESTS + 3000.0)])
+    assert len(memory) == MOST_RESTS and np.isnan(memory.since[0])
+    assert memory.since[1:].tolist() == [60.0] * (MOST_RESTS - 2) + [3060.0]
+
+
+def test_a_memory_saved_before_that_was_remembered_is_read() -> None:
+    saved = msgspec.msgpack.decode(packed(filled([rest(0.0), rest(100.0)])))
+    del saved["since"]
+    again = unpacked(msgspec.msgpack.encode(saved), Memory)
+    assert again.t.tolist() == [10.0, 110.0] and np.isnan(again.since).all() and again.since.shape == (2,)
 
 
 def test_old_rests_go() -> None:
