@@ -107,6 +107,8 @@ class Storage:
         except (StoreError, OSError, MemoryError) as error:
             self._note_failure(str(error) or "out of memory")
             return False
+        if self._trouble:
+            self._note(f"{self._store.path} and its state are written again")
         self._trouble = ""
         return True
 

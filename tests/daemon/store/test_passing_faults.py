@@ -187,6 +187,8 @@ def test_a_store_removed_while_it_is_in_use_is_written_again(path: Path) -> None
     path.parent.mkdir()
     assert asyncio.run(storage.save(b"state"))
     assert path.read_bytes() == before and storage.trouble == ""
+    assert notes[-1] == f"{path} and its state are written again"
+    assert asyncio.run(storage.save(b"state")) and notes.count(notes[-1]) == 1
     storage.close()
 
 
