@@ -108,11 +108,19 @@ def measured_directly(exam: Examination) -> dict[Key, tuple[Measured, Quantity]]
     return out
 
 
-def jitter_of(samples: Samples) -> float:
-    """Return the standard deviation of stamps, s, as it is compared; 0 where they show none."""
-    measured = quantities.of_stamps(samples).get("timestamp_jitter")
-    sigma = 0.0 if measured is None else _linear(measured, LEAST_JITTER, sample_period(samples.t)).value
-    return sigma if sigma > LEAST_SIGMA else 0.0
+def jitter_and_bursts(samples: Samples) -> tuple[float, float]:
+    """Return the standard deviation of stamps, s, and the share of samples that arrive in bursts.
+
+    As they are compared; 0 where stamps and arrivals show none.
+    """
+    measured, out = quantities.of_stamps(samples), []
+    for effect, floor, unit, least in (
+        ("timestamp_jitter", LEAST_JITTER, sample_period(samples.t), LEAST_SIGMA),
+        ("arrival_bursts", LEAST_BURSTS, 1.0, LEAST_SHARE),
+    ):
+        value = _linear(measured[effect], floor, unit).value if effect in measured else 0.0
+        out.append(value if value > least else 0.0)
+    return out[0], out[1]
 
 
 LEAST_SHARE, LEAST_SIGMA = 1e-4, 1e-6

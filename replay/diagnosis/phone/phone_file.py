@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.direct import jitter_of
+from stillcal.calib_core.diagnosis.comparison.direct import jitter_and_bursts
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.model.earth import ground, shared_rate
 from stillcal.calib_core.diagnosis.noise.low_pass import quiet
@@ -80,13 +80,15 @@ def phone_of(
 
 
 def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
-    """Return the stamps' clock, with their scatter and what is missing unless effects have these."""
+    """Return the stamps' clock, with their scatter, losses and bursts unless effects have these."""
     names = {e.name for e in effects}
     stamps = stamps_measured(recording.accelerometer)
+    jitter, bursts = jitter_and_bursts(recording.accelerometer)
     return ClockSettings(
         shared=_same_stamps(recording.accelerometer, recording.gyroscope),
-        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{jitter_of(recording.accelerometer):.4g}"),
+        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{jitter:.4g}"),
         drop_fraction=0.0 if "dropped_samples" in names else float(f"{stamps.missing:.3g}"),
+        burst_fraction=0.0 if "arrival_bursts" in names else float(f"{bursts:.3g}"),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.direct import jitter_of
+from stillcal.calib_core.diagnosis.comparison.direct import jitter_and_bursts
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
@@ -133,20 +133,24 @@ def test_what_a_clock_cannot_be_is_not_in_the_phone_file(case_with: Callable[...
     assert mapped.effect is None and "must be between" in mapped.why
 
 
-def test_the_clock_of_the_written_phone_scatters_and_loses_as_the_recording_does() -> None:
+def test_the_clock_of_the_written_phone_scatters_loses_and_stalls_as_the_recording_does() -> None:
     """Less than a finding takes: half a per cent of the samples, stamps by 0.3 ms of 40."""
-    uneven = msgspec.structs.replace(phone_with().clock, jitter_s=3e-4, drop_fraction=0.005)
+    uneven = msgspec.structs.replace(
+        phone_with().clock, jitter_s=3e-4, drop_fraction=0.005, burst_fraction=0.02
+    )
     real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
     stamps = stamps_measured(real.accelerometer)
-    scatter, missing = jitter_of(real.accelerometer), stamps.missing
+    (scatter, bursts), missing = jitter_and_bursts(real.accelerometer), stamps.missing
     assert stamps.rate == pytest.approx(25.0, rel=1e-4), "the samples that are missing count once"
     assert scatter == pytest.approx(3e-4, rel=0.05)
     assert missing == pytest.approx(0.005, rel=0.3)
+    assert bursts == pytest.approx(0.02, rel=0.3)
     case = diagnosed(real)
     told = {m.finding.effect for m in case.mapped}
     clock = case.phone().clock
     assert clock.jitter_s == (0.0 if "timestamp_jitter" in told else pytest.approx(scatter, rel=1e-3))
     assert clock.drop_fraction == (0.0 if "dropped_samples" in told else pytest.approx(missing, rel=1e-2))
+    assert clock.burst_fraction == (0.0 if "arrival_bursts" in told else pytest.approx(bursts, rel=1e-2))
 
 
 def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
