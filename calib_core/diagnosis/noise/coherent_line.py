@@ -35,6 +35,10 @@ LOUDEST = 2.0
 MOST_PASSED = 4
 """Frequencies that are looked at for a line, for time: what few stretches have is passed over."""
 
+IN_STEP = 0.9
+"""Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
+exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
+
 EDGE = 0.025
 """Weight of all tapers together, below which a rest begins or ends: one second of 20, as hands let go."""
 
@@ -83,15 +87,16 @@ class CoherentSpectrum:
             free &= np.abs(f - f[k]) > own
         return None
 
-    def in_step(self, line: Finding) -> float:
-        """Return how much of a line's power its phase foretells, at most: 1 where it keeps it.
+    def in_step(self, line: Finding) -> bool:
+        """Whether a line of this spectrum keeps its phase, so that this foretells `IN_STEP` of its power.
 
-        line: of this spectrum. What noise adds to its power is within two standard deviations.
+        What noise adds to its power is within two standard deviations.
         """
         frequency = float(np.asarray(line.parameters["frequency"].value))
         power = np.abs(self.rests.sums(self.seen, frequency)) ** 2 / self.rests.of_sums(self.seen)
         above, by_chance = float((power - 1.0).sum()), 2.0 * float(np.sqrt(power.size))
-        return ((line.evidence.heldout_log_score_gain or 0.0) + by_chance) / max(above, by_chance)
+        foretold = line.evidence.heldout_log_score_gain or 0.0
+        return foretold + by_chance >= IN_STEP * max(above, by_chance)
 
 
 def _clearest(told: Array, at: Index) -> tuple[float, int]:

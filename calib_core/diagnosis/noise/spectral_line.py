@@ -123,8 +123,8 @@ def _coherent(
 ) -> list[Finding]:
     """Return lines that keep their phase through the recording, and foretell more than those `found` do.
 
-    A line that lasts for a part of the recording is foretold better by its power there. Overtones of a body
-    are none.
+    A line that lasts for a part of the recording is foretold better by its power there, and one that wanders
+    a little would have too small an amplitude. Overtones of a body are none.
     """
     if spectrum is None:
         return []
@@ -136,10 +136,12 @@ def _coherent(
         if one is None:
             break
         tried.append(middle_hz(one))
+        same = [f for f in found if _same(one, f)]
+        better = not same or (left.in_step(one) and all(_gain(one) > _gain(f) for f in same))
         left = CoherentSpectrum.of(places, left.seen.without(middle_hz(one), NEAR / SHORT))
         whole = np.arange(len(seen.length), dtype=np.int64)
         body = _pace(seen, whole, round(middle_hz(one) / float(seen.f[1]))) is not None
-        if not body and all(_gain(one) > _gain(other) for other in found if _same(one, other)):
+        if better and not body:
             steady.append(one)
     every = [*steady, *(f for f in found if not any(_same(f, one) for one in steady))]
     return [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in steady]

@@ -32,10 +32,6 @@ LEAST_KEPT = 200.0
 """Cycles in the recording, at least. From one to the next breaths differ by a tenth and heartbeats by a
 twentieth, so that these are half a cycle off after 25 and 100; in a short recording they keep their phase."""
 
-IN_STEP = 0.9
-"""Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
-exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
-
 
 def steady_period(samples: Samples, sensor: str, rests: AtRest | None = None) -> Finding | None:
     """State, without a name, the lines below those of vibrations that keep their phase; None without one.
@@ -50,7 +46,7 @@ def steady_period(samples: Samples, sensor: str, rests: AtRest | None = None) ->
     found: list[Finding] = []
     while len(found) < MOST_LINES:
         one = left.clearest(sensor, (lowest, LEAST_LINE_HZ), [middle_hz(f) for f in found])
-        if one is None or left.in_step(one) < IN_STEP:
+        if one is None or not left.in_step(one):
             break
         found.append(one)
         left = CoherentSpectrum.of(rests.places, left.seen.without(middle_hz(one), NEAR / SHORT))

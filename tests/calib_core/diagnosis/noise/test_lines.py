@@ -209,6 +209,15 @@ def test_every_axis_that_has_the_line_is_told_however_weak_beside_the_others() -
     assert re.search(r"amplitude y 0\.0\d+, z 0\.\d+ m/s\^2", found.statement)
 
 
+def test_a_strong_line_that_wanders_a_little_has_its_own_amplitude() -> None:
+    """By 0.3 in 1000, which takes it out of step with itself in some minutes."""
+    rng = np.random.default_rng(3)
+    wander = np.convolve(rng.normal(0.0, 1.0, T.size), np.ones(6000) / np.sqrt(6000.0), "same")
+    wandering = np.sin(2.0 * np.pi * 17.3 * np.cumsum(1.0 + 3e-4 * wander) * 0.01)
+    (found,) = tones(lying(0.5 * wandering), "accel")
+    assert found.parameters["amplitude"].value[2] == pytest.approx(0.5, rel=0.05)  # type: ignore[index]
+
+
 def test_a_line_that_is_always_there_lasts_as_long_as_the_recording() -> None:
     samples = lying(humming({17.3: 0.02}))
     xyz = samples.xyz.copy()
