@@ -308,3 +308,9 @@ def test_a_phone_and_a_simulation_can_be_given(sample: stillcal.Recording) -> No
     judged = stillcal.diagnose(sample, simulated=again)
     assert judged.answer["schema"] == 2 and "accel_bias" not in [f["effect"] for f in judged.findings]
     assert "checks possible" in repr(judged)
+
+
+def test_python_m_stillcal_is_the_command() -> None:
+    called = [sys.executable, "-m", "stillcal", "--version"]
+    ran = subprocess.run(called, capture_output=True, text=True, check=True)
+    assert ran.stdout == f"stillcal, version {stillcal.__version__}\n"
