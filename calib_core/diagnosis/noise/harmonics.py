@@ -54,13 +54,22 @@ def _harmonics(base: Finding, lines: Sequence[Finding], rate: float) -> list[tup
 
 
 def _order(line: Finding, base: Finding, rate: float) -> int | None:
-    """Return which harmonic of another line a line is; None where it is none."""
+    """Return which harmonic of another line a line is; None where it is none, or at another time."""
+    if not _together(line, base):
+        return None
     own, lowest = middle_hz(line), middle_hz(base)
     for n in range(2, MOST + 1):
         off = n * _half(base) + _half(line) + ALIKE * n * lowest
         if abs(folded(n * lowest, rate) - own) < off:
             return n
     return None
+
+
+def _together(one: Finding, other: Finding) -> bool:
+    """Whether two lines are there at the same time, for half of the shorter one's at least."""
+    a, b = one.where, other.where
+    shared = min(a.t_end, b.t_end) - max(a.t_start, b.t_start)
+    return shared >= 0.5 * min(a.t_end - a.t_start, b.t_end - b.t_start)
 
 
 def _half(line: Finding) -> float:
