@@ -271,7 +271,9 @@ def _lasting(ratio: Array, share: Array, plain: float) -> Index:
     chance. Of short spells that come again and again a run is only one: these last from first to last.
     """
     near, line = ratio.max(axis=(1, 2)), ratio[:, 1]
-    run, every, shown = _run(near), np.arange(len(ratio), dtype=np.int64), np.flatnonzero(near > plain)
+    every, shown = np.arange(len(ratio), dtype=np.int64), np.flatnonzero(near > plain)
+    run = _run(near, float(near.mean()))
+    run = _run(near, float(near[run].mean())) if run.size else run
     if share[run].sum() < LEAST_STRETCHES <= share[shown].sum():
         return every[shown[0] : shown[-1] + 1]
     if run.size and float(near[run].mean()) > LOUDEST:
@@ -289,9 +291,9 @@ def _steady(ratio: Array) -> float:
     return float((np.log(i0e(twice)) + twice - line).sum())
 
 
-def _run(near: Array) -> Index:
-    """Return the run of stretches that gains most over half way from no line to the mean; near: (S,)."""
-    half = max(0.5 * (QUIET + float(near.mean())), LEAST_HALF)
+def _run(near: Array, mean: float) -> Index:
+    """Return the run of stretches that gains most over half way from no line to a mean; near: (S,)."""
+    half = max(0.5 * (QUIET + mean), LEAST_HALF)
     gain = np.concatenate([[0.0], np.cumsum(np.minimum(near, 4.0 * half) - half)])
     lowest = np.minimum.accumulate(gain)
     last = int(np.argmax(gain - lowest))

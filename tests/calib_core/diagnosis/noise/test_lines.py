@@ -174,8 +174,8 @@ def test_a_vibration_of_half_a_minute_is_told_with_its_time_and_a_hand_is_none(
     assert [round(middle_hz(f), 1) for f in found] == lines
     for line in found:
         assert line.effect == "vibration_tone" and line.axes == ["z"]
-        assert (line.where.t_start, line.where.t_end) == pytest.approx((200.0, 230.0), abs=5.0)
-        assert line.parameters["amplitude"].value[2] == pytest.approx(0.05, rel=0.15)  # type: ignore[index]
+        assert (line.where.t_start, line.where.t_end) == pytest.approx((200.0, 230.0), abs=2.0)
+        assert line.parameters["amplitude"].value[2] == pytest.approx(0.05, rel=0.03)  # type: ignore[index]
 
 
 @pytest.mark.parametrize("steady", [True, False])
