@@ -29,7 +29,9 @@ USUAL = 0.05
 LINEARISED = 3
 """Times that the model is taken about the delay found before, at all frequencies."""
 
-REWEIGHTED = 3
+REWEIGHTED, SETTLED = 20, 0.01
+"""Most times that windows are weighed anew, and the relative change of what is fitted that ends it: from no
+arm and no delay on, weights hold what an arm does for noise at first, and three times are not enough."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +148,9 @@ class Weighed:
             power = (np.abs(_left(effects, still, x)) ** 2).mean(axis=2)
             weight = 1.0 / np.sqrt([smoothed(own) for own in power])
             sums = summed(effects, still, weight)
-            x = sums.fitted()
+            before, x = x, sums.fitted()
+            if np.linalg.norm(x - before) < SETTLED * np.linalg.norm(x):
+                break
         return cls(sums, weight, _left(effects, still, x) * weight[:, :, None])
 
     def likely_step(self, delays: Array) -> Array:
