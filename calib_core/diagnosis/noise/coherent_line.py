@@ -17,10 +17,16 @@ from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, HeldOut, Index, of_chance
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
-from stillcal.calib_core.diagnosis.noise.line_estimate import CLOCK, SIGNIFICANT, peak, vibration
-from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, ZEROS, faint_lines
+from stillcal.calib_core.diagnosis.noise.line_estimate import (
+    CLOCK,
+    SIGNIFICANT,
+    axes_alike,
+    of_axes,
+    peak,
+    vibration,
+)
+from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, FAR_ASIDE, OWN, ZEROS, faint_lines
 from stillcal.calib_core.diagnosis.noise.steady_segments import Places, Stretches
-from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms
 
 NEVER = 0.49
@@ -78,14 +84,22 @@ class CoherentSpectrum:
             if not at.size:
                 return None
             tries = float(at.size * (self.told.shape[1] + 1))
-            best, k = _clearest(self.told, at)
-            if not DirectEvidence(of_chance(-best, tries)).stated:
+            best = of_axes(self.told[None, at])
+            if not DirectEvidence(of_chance(-float(best.max()), tries)).stated:
                 return None
-            line = _stated(sensor, self.rests, self.seen, float(f[k]), (best, tries))
+            k = int(at[np.argmax(best)])
+            nats = float(of_axes(self.told[None, [k]], axes_alike=axes_alike(self.told[self._beside(k)]))[0])
+            line = _stated(sensor, self.rests, self.seen, float(f[k]), (nats, tries))
             if line is not None:
                 return line
             free &= np.abs(f - f[k]) > own
         return None
+
+    def _beside(self, k: int) -> Index:
+        """Return the wide neighbourhood of a frequency, by index."""
+        own, far = (round(ZEROS * n / self.rests.recorded) for n in (OWN, FAR_ASIDE + OWN))
+        away = np.arange(own + 1, far + 1)
+        return np.asarray(np.clip(k + np.concatenate([-away, away]), 0, len(self.told) - 1), dtype=np.int64)
 
     def in_step(self, line: Finding) -> bool:
         """Whether a line of this spectrum keeps its phase, so that this foretells `IN_STEP` of its power.
@@ -97,14 +111,6 @@ class CoherentSpectrum:
         above, by_chance = float((power - 1.0).sum()), 2.0 * float(np.sqrt(power.size))
         foretold = line.evidence.heldout_log_score_gain or 0.0
         return foretold + by_chance >= IN_STEP * max(above, by_chance)
-
-
-def _clearest(told: Array, at: Index) -> tuple[float, int]:
-    """Return nats of the clearest line on one axis or on all together, and its place; told: (F, 3)."""
-    together = -log_tail(2.0 * told[at].sum(axis=1), 2 * told.shape[1])
-    best = np.maximum(together, told[at].max(axis=1))
-    k = int(np.argmax(best))
-    return float(best[k]), int(at[k])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

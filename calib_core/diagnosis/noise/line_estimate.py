@@ -49,6 +49,29 @@ def told(ratio: Array) -> Array:
     return np.asarray(INDEPENDENT * np.log1p(ratio / INDEPENDENT))
 
 
+def of_axes(nats: Array, alike: float = 1.0, axes_alike: float = 1.0) -> Array:
+    """Return nats (k,) of lines on the clearest axis, or on the three together (Fisher).
+
+    nats: (n, k, 3) of n independent powers of k lines; alike: how many of the n count as one; axes_alike: how
+    many axes do.
+    """
+    total, freedom = 2.0 * nats.sum(axis=0) / alike, 2.0 * len(nats) / alike
+    single = log_tail(total, freedom).min(axis=-1)
+    together = log_tail(total.sum(axis=-1) / axes_alike, 3.0 * freedom / axes_alike)
+    return np.asarray(-np.minimum(single, together))
+
+
+def axes_alike(nats: Array) -> float:
+    """Return how many axes count as one: 1 where their noise is independent, 3 where it is the same.
+
+    nats: (n, 3) of frequencies without a line. What shakes the phone is on all axes, and where one has much
+    by chance, so have the others.
+    """
+    apart = nats - nats.mean(axis=0)
+    apart = apart / np.maximum(np.linalg.norm(apart, axis=0), 1e-300)
+    return 1.0 + 2.0 / 3.0 * float(np.maximum((apart.T @ apart)[np.triu_indices(3, 1)], 0.0).sum())
+
+
 def profile(seen: Stretches, rows: Index, middle: int) -> Array:
     """Return the power (41,) about a line, summed over stretches, in steps of what each one tells apart."""
     steps = np.arange(-20, 21)
@@ -73,6 +96,14 @@ def _noise(seen: Stretches, rows: Index, middle: int) -> Array:
     )
     total = sides.sum(axis=1)
     return np.asarray(sides.mean(axis=0) * (total.max(axis=0) / np.maximum(total.mean(axis=0), 1e-300)))
+
+
+def _beside(seen: Stretches, rows: Index, middle: int) -> Array:
+    """Return the powers (n, 3) of a line's neighbours, each over their mean in its stretch, as nats."""
+    away = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
+    steps = np.round(np.outer(seen.wider[rows], np.concatenate([-away, away]))).astype(np.int64)
+    power = seen.power[rows[:, None], np.clip(middle + steps, 0, seen.f.size - 1)]
+    return told(power / np.maximum(power.mean(axis=1, keepdims=True), 1e-300)).reshape(-1, 3)
 
 
 def narrow(profile: Array, count: int) -> bool:
@@ -133,7 +164,8 @@ def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | 
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
     axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
     runs = 1.0 if rows.size == len(seen.length) else len(seen.length) ** 2 / 2.0
-    alike = 1.0 + OVERLAPPING * 2.0 * (1.0 - float(seen.share[rows].mean()))
+    overlapping = 1.0 + OVERLAPPING * 2.0 * (1.0 - float(seen.share[rows].mean()))
+    alike = overlapping, axes_alike(_beside(seen, rows, middle))
     evidence = _seen(line / np.maximum(noise, 1e-300), line, alike, float(seen.f.size) * runs)
     pitch, size, span = (frequency, error), (amplitude, scatter), _lasts(seen, rows)
     return vibration(sensor, seen, axes, pitch=pitch, size=size, span=span, evidence=evidence)
@@ -187,11 +219,11 @@ def _fraction(seen: Stretches, start: float, end: float) -> Parameter:
     return Parameter(part, [part - NORMAL_95 * error, min(part + NORMAL_95 * error, 1.0)], "1")
 
 
-def _seen(ratio: Array, line: Array, alike: float, places: float) -> DirectEvidence:
+def _seen(ratio: Array, line: Array, alike: tuple[float, float], places: float) -> DirectEvidence:
     """Return what powers (S, 3) say of a line, on the clearest axis or on the three together (Fisher).
 
-    ratio: to the noise, by chance of an F law; alike: stretches that count as one; places: how many
-    frequencies, and runs of stretches, were looked at. Powers of stretches left out are predicted by the
+    ratio: to the noise, by chance of an F law; alike: stretches, and axes, that count as one; places: how
+    many frequencies, and runs of stretches, were looked at. Powers of stretches left out are predicted by the
     others, by exponential laws.
     """
     fold, gain = blocks(len(ratio)), 0.0
@@ -202,7 +234,6 @@ def _seen(ratio: Array, line: Array, alike: float, places: float) -> DirectEvide
         seen = np.sqrt(line[fold == k])
         before.append(rms(seen))
         after.append(rms(seen - np.sqrt(line[fold != k].mean(axis=0))))
-    total, freedom = 2.0 * told(ratio).sum(axis=0) / alike, 2.0 * len(ratio) / alike
-    log_chance = min(float(log_tail(total, freedom).min()), float(log_tail(total.sum(), 3.0 * freedom)))
+    nats = float(of_axes(told(ratio)[:, None], *alike)[0])
     held_out = HeldOut(gain, rms(np.array(before)), rms(np.array(after)))
-    return DirectEvidence(of_chance(log_chance, 4.0 * places), held_out)
+    return DirectEvidence(of_chance(-nats, 4.0 * places), held_out)
