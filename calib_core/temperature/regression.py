@@ -11,6 +11,7 @@ for the curve is taken from these errors.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -236,6 +237,25 @@ def curve_basis(celsius: Array, reference: float) -> Array:
     return np.column_stack([u**power for power in range(1, POWERS + 1)])
 
 
+def _shapes() -> tuple[Array, ...]:
+    """Return the shapes of a wander that are tried, (3, 3) each, in units of one that is alike on all axes.
+
+    After the one that is alike on all axes come those mostly along one line: 20 lines spread evenly over a
+    half sphere (Fibonacci's spiral), three sizes of each.
+    """
+    k = np.arange(20)
+    z, turn = (k + 0.5) / 20, np.pi * (1.0 + np.sqrt(5.0)) * (k + 0.5)
+    level = np.sqrt(1.0 - z * z)
+    lines = np.column_stack((level * np.cos(turn), level * np.sin(turn), z))
+    along = [0.1 * np.eye(3) + 2.7 * np.outer(line, line) for line in lines]
+    return (np.eye(3), *(size**2 * shape for size in (1.0, 2.0, 4.0) for shape in along))
+
+
+_SHAPES = _shapes()
+_EVEN = _SHAPES[0]
+_LEAST_WEIGHT = 1e-3
+"""Shapes of a smaller weight than this are left out."""
+
 _USUALLY_DECLARED, _DECLARED_SPREAD = 0.75, 0.4
 """Median of Wander.declared, and its standard deviation in natural logarithms."""
 
@@ -295,7 +315,7 @@ class Regression:
             raise np.linalg.LinAlgError("the covariance of the rests is not positive definite")
         wander, factor, whitened = best.wander, best.factor, best.whitened
         diagonal = np.diag(factor)
-        mean, covariance = self._present(wander, factor, whitened, now, steps)
+        mean, covariance = self._present(best, _EVEN, now, steps)
         p = self._seen.level.shape[1]
         return Fit(
             self._model,
@@ -309,6 +329,46 @@ class Regression:
             self._course(wander, factor, whitened, steps),
             steps,
         )
+
+    def averaged(self, fit: Fit, now: float) -> Fit:
+        """Return a fit with level and curve averaged over the lines along which the bias may wander.
+
+        Temperature moves a bias along one line. An attitude shows one direction of that only, so that a phone
+        that always lies alike shows little of a wander that may be large. The weights are the likelihoods;
+        a wander that is alike on all axes counts for one half before. now: s.
+        """
+        seen = self._seen
+        if seen.towards is None:
+            return fit
+        likely = [(w, *self._present(*own, now, fit.steps)) for w, own in self._likely_shapes(fit)]
+        mean = np.sum([weight * at for weight, at, _ in likely], axis=0)
+        spread = [weight * (own + (at - mean) @ (at - mean).T) for weight, at, own in likely]
+        covariance = np.sum(spread, axis=0)
+        p = seen.level.shape[1]
+        return replace(
+            fit, level=frozen(mean[:p]), curve=frozen(mean[p:].reshape(-1, 3)), covariance=frozen(covariance)
+        )
+
+    def _likely_shapes(self, fit: Fit) -> list[tuple[float, tuple[_Judged, Array]]]:
+        """Return the shapes of the wander that the rests allow, each with its weight and its factor."""
+        wander, towards = fit.wander, self._seen.towards
+        assert towards is not None
+        moved = wander.flicker**2 * self._spans.flicker + wander.walk**2 * self._spans.walk
+        without = np.empty_like(moved)
+        self._fill_covariance(without, wander, fit.steps)
+        without -= moved * self._shared
+        tried, scores = [], []
+        for shape in _SHAPES:
+            with contextlib.suppress(np.linalg.LinAlgError):
+                across = towards @ shape @ towards.T
+                factor, whitened = _factor(without + moved * across, self._seen.value)
+                likelihood = -0.5 * (whitened**2).sum() - np.log(np.diag(factor)).sum()
+                scores.append(likelihood - np.log(1 if shape is _EVEN else len(_SHAPES) - 1))
+                tried.append((_Judged(wander, scores[-1], factor, whitened), shape))
+        weights = np.exp(np.array(scores) - max(scores))
+        kept = weights >= _LEAST_WEIGHT
+        weights /= weights[kept].sum()
+        return [(float(w), own) for w, own, keep in zip(weights, tried, kept, strict=True) if keep]
 
     def log_likelihood(self, wander: Wander, steps: tuple[Step, ...]) -> float:
         """Return that of the fit with this wander and these steps, without making the fit."""
@@ -340,15 +400,10 @@ class Regression:
 
     def _factor(self, wander: Wander, steps: tuple[Step, ...]) -> tuple[Array, Array]:
         """Return the Cholesky factor L of the covariance and L^-1 value, both from one decomposition."""
-        value = self._seen.value
-        n, k = value.shape
-        bordered = np.empty((n + k, n + k))
-        self._fill_covariance(bordered[:n, :n], wander, steps)
-        bordered[:n, n:] = 0.0
-        bordered[n:, :n] = value.T
-        bordered[n:, n:] = _BORDER * np.eye(k)
-        factor = np.linalg.cholesky(bordered)
-        return factor[:n, :n], factor[n:, :n].T
+        n = len(self._seen.value)
+        total = np.empty((n, n))
+        self._fill_covariance(total, wander, steps)
+        return _factor(total, self._seen.value)
 
     def _judged(self, wander: Wander, steps: tuple[Step, ...]) -> _Judged:
         """Return a wander whose score is the log likelihood of the rests plus its own log prior."""
@@ -390,21 +445,37 @@ class Regression:
         return best
 
     def _present(
-        self, wander: Wander, factor: Array, whitened: Array, now: float, steps: tuple[Step, ...]
+        self, judged: _Judged, shape: Array, now: float, steps: tuple[Step, ...]
     ) -> tuple[Array, Array]:
-        """Return level now and curve, and their covariance."""
+        """Return level now and curve, and their covariance. shape: (3, 3) of the wander, one of _SHAPES."""
+        assert judged.factor is not None
+        wander, factor, whitened = judged.wander, judged.factor, judged.whitened
         seen, axes, at = self._seen, self._axes, np.array([now - self._start])
         along = wander.covariance(at, seen.t - self._start)[0]
-        own = float(wander.covariance(at, at)[0, 0]) + sum(step.sd**2 for step in steps)
-        for step in steps:
-            along = along + step.sd**2 * (seen.t >= step.t)
+        stepped = sum((step.sd**2 * (seen.t >= step.t) for step in steps), np.zeros(len(seen.t)))
         cross = self._prior[:, None] * self._design.T
-        cross[:axes] += along if seen.towards is None else along * seen.towards.T
+        if seen.towards is None:
+            cross[:axes] += along + stepped
+        else:
+            cross[:axes] += along * (seen.towards @ shape).T + stepped * seen.towards.T
         prior = np.diag(self._prior)
-        prior[:axes, :axes] += own * np.eye(axes)
+        prior[:axes, :axes] += float(wander.covariance(at, at)[0, 0]) * shape[:axes, :axes]
+        prior[:axes, :axes] += sum(step.sd**2 for step in steps) * np.eye(axes)
         gain = np.linalg.solve(factor, cross.T)
         covariance: Array = prior - gain.T @ gain
         return gain.T @ whitened, covariance
+
+
+def _factor(total: Array, value: Array) -> tuple[Array, Array]:
+    """Return the Cholesky factor L of a covariance (n, n) and L^-1 value (n, k), from one decomposition."""
+    n, k = value.shape
+    bordered = np.empty((n + k, n + k))
+    bordered[:n, :n] = total
+    bordered[:n, n:] = 0.0
+    bordered[n:, :n] = value.T
+    bordered[n:, n:] = _BORDER * np.eye(k)
+    factor = np.linalg.cholesky(bordered)
+    return factor[:n, :n], factor[n:, :n].T
 
 
 MOST_BREAKS = 8
@@ -448,8 +519,8 @@ def learn(seen: Observations, model: Model, now: float, start: Wander | None = N
         if broken is None:
             break
         found = broken
-    _, fit = _linear(found.seen, found.fit, now)
-    return replace(fit, doubted=found.doubted)
+    seen, fit = _linear(found.seen, found.fit, now)
+    return replace(Regression(seen, model).averaged(fit, now), doubted=found.doubted)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
