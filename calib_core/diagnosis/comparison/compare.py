@@ -358,6 +358,6 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
         return unlooked or exam.why_no_delay or uninformed(effect)
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
-        blurred = any(s.sensor == sensor and s.steps.blurs_level() for s in exam.streams)
-        return noise.BLURRED if blurred else f"too few rests of {AVERAGED:.0f} s"
+        whys = (noise.why_no_slow_noise(exam, r) for r in exam.sensors if r.sensor == sensor)
+        return next((why for why in whys if why), f"too few rests of {AVERAGED:.0f} s")
     return first or next((why for why in unlogged if why), None) or uninformed(effect)

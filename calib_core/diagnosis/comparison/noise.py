@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
 from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
-from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
+from stillcal.calib_core.diagnosis.noise.noise_level import Levels, odd_one_out, ratios_to_others
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
@@ -49,6 +49,10 @@ ALIKE_CUTOFF = 0.05
 """Relative difference of two cutoffs that is none: they depend on the shape that is fitted."""
 
 LOW_PASS = "bandwidth"
+MOVED, SHAKEN = 4.0, 100.0
+"""How many times the variance of its bin a mean has where what it lies on moves, and how many times that of
+the sensor's own white noise: no wander is ten times as loud within 2 s."""
+
 BLURRED = "its values come in steps larger than the noise"
 LEVEL, UNEQUAL = OF_DENSITY = ("noise_level", "noise_unequal_axes")
 """Names of a difference between two densities of white noise: on any axes, or on one beside the others."""
@@ -210,17 +214,49 @@ def why_no_density(stream: Stream) -> str:
     return "too little of it is at rest"
 
 
+def why_no_slow_noise(exam: Examination, residuals: SensorResiduals) -> str | None:
+    """Say what hides a sensor's wander at rest; None where nothing does.
+
+    Steps larger than the noise leave errors in means.
+    """
+    stream = next((s for s in exam.streams if s.sensor == residuals.sensor), None)
+    if stream is not None and stream.steps.blurs_level():
+        return BLURRED
+    levels = None if stream is None else stream.levels
+    return "what it lies on moves" if hidden_by_motion(residuals, levels) else None
+
+
+def hidden_by_motion(residuals: SensorResiduals, levels: Levels | None = None) -> bool:
+    """Whether motion of what the phone lies on makes most of the variance of a sensor's means.
+
+    It is known as the support's, or is far above what the sensor's noise, `levels`, makes of a mean.
+    """
+    bins = residuals.bins
+    seen = bins.rate_variance if residuals.sensor == "gyro" else bins.force_variance
+    assert seen is not None, "a sensor that was recorded"
+    largest = seen.max(axis=1)
+    if levels is not None and levels.own:
+        white = 0.5 * float(levels.values().max()) ** 2 / bins.duration
+        if float(np.median(largest / white)) > SHAKEN:
+            return True
+    return any(
+        float(np.median(v.variance)) > MOVED * float(np.median(largest[v.bins]))
+        for v in residuals.views
+        if v.name != "tangent"
+    )
+
+
 def slow_noise(
     exam: Examination, residuals: SensorResiduals, asked: Sequence[Hypothesis] = ()
 ) -> Quantity | None:
     """Return the Allan deviation of the bias at `AVERAGED`, logarithms; None without rests that long.
 
-    None as well where values come in steps larger than the noise: what these leave in means is no wander.
+    None as well where something hides it (`why_no_slow_noise`).
 
     It is averaged over the noise shapes by their posterior, the effects that were found and those `asked` for
     taken out first.
     """
-    if any(s.sensor == residuals.sensor and s.steps.blurs_level() for s in exam.streams):
+    if why_no_slow_noise(exam, residuals):
         return None
     explained = [
         s.hypothesis for s in exam.statements if s.residuals is residuals and s.hypothesis is not None

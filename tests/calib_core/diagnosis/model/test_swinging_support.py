@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.noise import hidden_by_motion
 from stillcal.calib_core.diagnosis.effects.unknown import UnknownCurve
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.rates import tilt_rate
@@ -26,7 +27,9 @@ def moored(seed: int, family: str = "white") -> Bins:
 
 
 def test_a_boat_whose_heading_swings_raises_no_alarm() -> None:
-    assert slow_findings(by_sensor(moored(3), nulls.G)[1]) == []
+    residuals = by_sensor(moored(3), nulls.G)[1]
+    assert slow_findings(residuals) == []
+    assert hidden_by_motion(residuals), "its slow noise is the boat's"
 
 
 def in_ten_attitudes(seed: int) -> tuple[np.random.Generator, nulls.Day]:
@@ -51,6 +54,8 @@ def test_a_steady_swing_is_no_period_of_the_bias_and_a_period_of_the_bias_is() -
     wave = np.cos(2.0 * np.pi * day.t / 60.0)[:, None]
     swung = nulls.bins_of(rng, day, "white", gyro_error=5e-3 * day.up * wave)
     assert slow_findings(by_sensor(swung, nulls.G)[1]) == []
+    still = by_sensor(nulls.bins_of(rng, day, "white"), nulls.G)
+    assert not any(hidden_by_motion(residuals) for residuals in still)
     biased = nulls.bins_of(rng, day, "white", gyro_error=np.array([2e-3, -1e-3, 1e-3]) * wave)
     found = slow_findings(by_sensor(biased, nulls.G)[1])
     assert "a period in time" in {f.where.driver for f in found}
