@@ -41,7 +41,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
-from stillcal.calib_core.diagnosis.comparison.stated import concluded, key_of, told
+from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
@@ -80,7 +80,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     count = len(pairs) + len(direct) + len(alone)
     pairs, hidden = not_logged.without_hidden(weighed([*pairs, *direct], max(count, 1)), unlogged)
     missing += [*hidden, *unseen]
-    wander = [one for one in alone if _is_slow_noise(one[0], pairs)]
+    wander = [one for one in alone if _is_slow_noise(one[0], pairs) or _is_motion(one, exams)]
     alone = [one for one in alone if one not in wander]
     neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
     count -= len(hidden) + len(wander)
@@ -122,6 +122,12 @@ def _is_slow_noise(finding: Finding, pairs: Sequence[Difference]) -> bool:
     """Whether wander that one recording has is the slow noise that is measured in both."""
     compared = {key_of(d) for d in pairs}
     return finding.where.driver == NO_DRIVER and (f"{finding.sensor}_slow_noise", finding.sensor) in compared
+
+
+def _is_motion(one: Sole, exams: tuple[Examination, Examination]) -> bool:
+    """Whether wander that one recording has may be motion of what the phone lay on."""
+    finding, of_recording = one
+    return finding.where.driver == NO_DRIVER and noise.moves(exams[not of_recording], finding.sensor)
 
 
 def _paired(

@@ -219,11 +219,15 @@ def why_no_slow_noise(exam: Examination, residuals: SensorResiduals) -> str | No
 
     Steps larger than the noise leave errors in means.
     """
-    stream = next((s for s in exam.streams if s.sensor == residuals.sensor), None)
-    if stream is not None and stream.steps.blurs_level():
+    if any(s.sensor == residuals.sensor and s.steps.blurs_level() for s in exam.streams):
         return BLURRED
-    levels = None if stream is None else stream.levels
-    return "what it lies on moves" if hidden_by_motion(residuals, levels) else None
+    return "what it lies on moves" if moves(exam, residuals.sensor) else None
+
+
+def moves(exam: Examination, sensor: str) -> bool:
+    """Whether what the phone lies on moves more than a sensor's bias may wander."""
+    levels = next((s.levels for s in exam.streams if s.sensor == sensor), None)
+    return any(hidden_by_motion(r, levels) for r in exam.sensors if r.sensor == sensor and len(r.bins))
 
 
 def hidden_by_motion(residuals: SensorResiduals, levels: Levels | None = None) -> bool:

@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from stillcal.calib_core.diagnosis.comparison.compare import _is_motion
 from stillcal.calib_core.diagnosis.comparison.noise import density, slow_noise, why_no_density
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE = 50.0
@@ -59,3 +62,15 @@ def test_what_steps_larger_than_the_noise_leave_in_means_is_no_slow_noise() -> N
         exam = examine(Samples(Sensor.ACCELEROMETER, t, still), gyroscope, search=False)
         slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
         assert (slow is not None) == told
+
+
+def test_wander_of_a_phone_in_a_train_is_the_trains() -> None:
+    rng, t = np.random.default_rng(7), np.arange(30000) / 50.0
+    pulled = np.repeat(rng.normal(0.0, 0.05, 600), 50)[:, None] * np.array([0.0, 0.0, 1.0])
+    still = np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(t.size, 3))
+    found = Finding(
+        "unknown", "accel", [], Where(0.0, 600.0, (0.0, 0.01), NO_DRIVER), {}, Evidence(9.0), [], ""
+    )
+    for force, motion in ((still, False), (still + pulled, True)):
+        exam = examine(Samples(Sensor.ACCELEROMETER, t, force), None, search=False)
+        assert _is_motion((found, True), (exam, exam)) == motion
