@@ -178,17 +178,21 @@ def _stated(
     step = rests.rate / len(rests.series)
     sums, middle = rests.sums(seen, near), seen.span.mean(axis=1)
 
-    def whole(away: Array) -> Array:
+    def whole(away: Array, of: Array) -> Array:
         turned = np.exp(-2j * np.pi * np.outer(away, middle - middle.mean()))
-        return np.asarray(np.abs(turned @ (rests.weight * sums)) ** 2)
+        return np.asarray(turned @ (rests.weight * of))
 
     grid = step * np.arange(-1.0, 1.0 + FINE, FINE)
-    off = peak(grid, whole(grid).sum(axis=1))
-    frequency, power = near + off, whole(np.array([off]))[0]
-    aside = np.arange(OWN + 1, OWN + ASIDE + 1) * step
-    about = whole(off + np.concatenate([-aside, aside])).mean(axis=0)
-    floor = np.maximum(about, max(SILENT * float(power.max()), 1e-300))
+    off = peak(grid, (np.abs(whole(grid, sums)) ** 2).sum(axis=1))
     length = (rests.weight * rests.of_line(seen)).sum(axis=0)
+    line = whole(np.array([off]), sums)
+    frequency, power = near + off, np.abs(line[0]) ** 2
+    # Beside the line is the noise, once the line is gone: gaps between rests spread it over its neighbours.
+    phases = np.exp(2j * np.pi * off * (middle - middle.mean()))
+    left = sums - rests.of_line(seen) * phases[:, None] * line / length
+    aside = np.arange(OWN + 1, OWN + ASIDE + 1) * step
+    about = (np.abs(whole(off + np.concatenate([-aside, aside]), left)) ** 2).mean(axis=0)
+    floor = np.maximum(about, max(SILENT * float(power.max()), 1e-300))
     amplitude, scatter = np.sqrt(np.maximum(power - floor, 0.0)) / length, np.sqrt(floor / 2.0) / length
     axes = [a for a in range(3) if amplitude[a] > SIGNIFICANT * scatter[a]] or [int(np.argmax(amplitude))]
     # Cramer and Rao's bound of a sine's frequency, by how far it stands above the noise.

@@ -22,20 +22,27 @@ whole ratio in one of 300 pairs."""
 
 
 def with_harmonics(lines: Sequence[Finding], rate: float) -> list[Finding]:
-    """Return the lines of one sensor, in whose remarks stands which are harmonics of which; rate: Hz."""
+    """Return the lines of one sensor, in whose remarks stands which are harmonics of which; rate: Hz.
+
+    What a harmonic is an alias of is no question any more.
+    """
     rest = sorted(lines, key=middle_hz)
-    said: dict[int, str] = {}
+    said = {id(line): line.remark for line in lines}
+    known: set[int] = set()
     while rest:
         of_each = [_harmonics(base, rest, rate) for base in rest]
         k = int(np.argmax([len(one) for one in of_each]))
         base, harmonics = rest[k], of_each[k]
         if harmonics:
             listed = ", ".join(f"{order} at {middle_hz(line):.4g} Hz" for order, line in harmonics)
-            said[id(base)] = f"It has harmonics: {listed}."
+            said[id(base)] = " ".join(filter(None, (f"It has harmonics: {listed}.", base.remark)))
         for order, line in harmonics:
-            said[id(line)] = f"It is harmonic {order} of the vibration at {middle_hz(base):.4g} Hz."
-        rest = [line for line in rest if line is not base and id(line) not in said]
-    return [replace(f, remark=" ".join(filter(None, (said.get(id(f)), f.remark)))) for f in lines]
+            own = order * middle_hz(base)
+            back = f", {own:.4g} Hz folded back" if own > rate / 2.0 else ""
+            said[id(line)] = f"It is harmonic {order} of the vibration at {middle_hz(base):.4g} Hz{back}."
+            known.add(id(line))
+        rest = [line for line in rest if line is not base and id(line) not in known]
+    return [replace(f, remark=said[id(f)]) for f in lines]
 
 
 def folded(frequency: float, rate: float) -> float:

@@ -259,6 +259,21 @@ def test_what_keeps_its_phase_is_found_however_faint_each_rest_shows_it(
         assert line.parameters["amplitude"].value == pytest.approx([amplitude] * 3, rel=0.25)
 
 
+def test_what_gaps_between_rests_spread_of_a_line_is_no_error_of_its_amplitude() -> None:
+    """Rests of 5 to 40 s, turns of 2 s: beside a plain line are its own side lobes, far above the noise."""
+    rng = np.random.default_rng(8)
+    lengths = np.where(np.arange(240) % 2 == 1, 20, rng.integers(50, 400, 240))
+    moved = np.repeat(np.arange(240) % 2 == 1, lengths)
+    t = 0.1 * np.arange(moved.size)
+    xyz = rng.normal(0.0, NOISE, (t.size, 3))
+    xyz[:, 2] += 9.81 + 0.02 * np.sin(2.0 * np.pi * 4.09 * t)
+    xyz[moved] += rng.normal(0.0, 2.0, (int(moved.sum()), 3))
+    (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    low, high = np.asarray(line.parameters["amplitude"].ci95, dtype=np.float64)[2]
+    bound = 1.96 * NOISE * np.sqrt(2.0 / np.count_nonzero(~moved))
+    assert low < 0.02 < high and 0.5 * (high - low) < 3.0 * bound
+
+
 def restless(nats: float, seed: int) -> Samples:
     """Return 60 rests of 30 s at 16 Hz with a line of 7.3 Hz on z whose phase is another in each.
 
