@@ -58,7 +58,8 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
     wanted = [settled(w) if w.hypothesis.effect.sensor in later else w for w in wanted]
     own = every_linear_quantity(simulated, wanted, _references(differences))
     own += delay_quantity(simulated).values()
-    return replace(found, discrepancies=[_standing(d, own) for d in found.discrepancies])
+    turned = any(d.effect == "accel_scale" for d in found.discrepancies)
+    return replace(found, discrepancies=[_standing(d, own, turned=turned) for d in found.discrepancies])
 
 
 def with_owner_of_unknown(
@@ -166,8 +167,11 @@ def _references(differences: Sequence[Difference]) -> dict[str, float]:
     return {d.recorded.sensor: d.recorded.reference[at] for d in differences if at in d.recorded.reference}
 
 
-def _standing(one: Discrepancy, own: Sequence[Quantity]) -> Discrepancy:
-    """Return a difference beside what the simulation itself has, if it has anything."""
+def _standing(one: Discrepancy, own: Sequence[Quantity], *, turned: bool) -> Discrepancy:
+    """Return a difference beside what the simulation itself has, if it has anything.
+
+    turned: whether the simulation's accelerometer has axes of its own, by which its gyroscope is measured.
+    """
     apart = one.difference
     if apart is None:
         return one
@@ -181,8 +185,9 @@ def _standing(one: Discrepancy, own: Sequence[Quantity]) -> Discrepancy:
         return one
     both = _scaled(value, apart.value) if one.effect.endswith("_scale") else value + apart.value
     more = replace(had, value=both, covariance=covariance + apart.covariance)
-    if not _as_rests_tell(more, laid).shows():
-        # The recording has none of what rests tell, so the turn of all axes besides is the simulation's too.
+    symmetric = simulated.value.size < value.size or (turned and one.effect == "gyro_scale")
+    if symmetric and not _without_turn(more).shows():
+        # The recording has none of what is sure, so the turn of all axes besides is the simulation's too.
         had = replace(apart.recorded, value=-apart.value, covariance=apart.covariance)
         more = replace(more, value=np.zeros_like(both))
         return replace(one, relation="superfluous", difference=replace(apart, recorded=more, simulated=had))
@@ -215,7 +220,8 @@ def _laid(own: int, k: int) -> Array:
     return spread.reshape(k, -1)
 
 
-def _as_rests_tell(quantity: Quantity, laid: Array) -> Quantity:
-    """Return a quantity without what rests do not tell of it. laid: from `_laid`."""
-    told = laid @ np.linalg.pinv(laid)
-    return replace(quantity, value=told @ quantity.value, covariance=told @ quantity.covariance @ told.T)
+def _without_turn(scale: Quantity) -> Quantity:
+    """Return scale and misalignment (9,) without the turn of all axes in them: the symmetric part."""
+    rows = np.arange(9)
+    told = 0.5 * (np.eye(9) + np.eye(9)[rows.reshape(3, 3).T.ravel()])
+    return replace(scale, value=told @ scale.value, covariance=told @ scale.covariance @ told.T)
