@@ -16,6 +16,7 @@ from stillcal.calib_core.codec import packed, plain, unpacked
 from stillcal.calib_core.engine.actions import Action, Log, Publish, Reject
 from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.intake import ACCEL_PATIENCE_S
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.static.settings import DetectorSettings, Sleep
@@ -147,7 +148,7 @@ PIECE = st.tuples(
     st.floats(0.0, 1.0),  # where the piece ends
     st.floats(0.0, 4.9),  # how far the gyroscope's stream is behind there, within the engine's patience
     st.booleans(),  # whether the engine is saved and restored there
-    st.booleans(),  # which stream comes first, and in one call or two
+    st.booleans(),  # which stream comes first, and in one call or two, within the engine's patience
 )
 
 
@@ -160,7 +161,8 @@ def fed_in_pieces(name: str, pieces: list) -> Life:
         ends = (end, max(end - lag, last[1]))
         parts = [s.between(a, b) for s, a, b in zip(whole.streams, last, ends, strict=False)]
         events = [e for e in whole.events if last[2] <= e.t < end]
-        if apart:
+        # The gyroscope alone for longer than the engine's patience is an accelerometer that has stopped.
+        if apart and min(end, whole.end) - max(last[0], 0.0) < ACCEL_PATIENCE_S:
             life.feed(*events, *parts[1:])
             life.feed(parts[0])
         else:
