@@ -114,8 +114,13 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
     observed: what was observed of something without a name, a sentence; "" where that is not known.
     """
     text = BEGINS_WITH_BUILT_IN.sub(rf"\1{capital(THE_BUILT_IN)}", _statement(finding, names, observed))
-    text += _at_temperature(finding) + _when_settled(finding) + _two_sided(finding, names[1])
-    text += _undistinguished(finding) + _departing(finding) + _exchanged(finding) + _lasting(finding)
+    text += (
+        _at_temperature(finding)
+        + _without_effect(finding)
+        + _when_settled(finding)
+        + _two_sided(finding, names[1])
+    )
+    text += _undistinguished(finding) + _departing(finding) + _exchanged(finding) + _when(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -138,6 +143,14 @@ def _at_temperature(finding: Mapping[str, Any]) -> str:
     if at is None or not (bends or finding["effect"].endswith(("_bias", "_scale"))):
         return ""
     return f" The numbers hold at {at:.1f} °C."
+
+
+def _without_effect(finding: Mapping[str, Any]) -> str:
+    """Return at which temperature an effect of temperature adds nothing; "" for any other."""
+    at = finding.get("reference", {}).get("temperature_c")
+    if at is None or not finding["effect"].endswith("_temperature"):
+        return ""
+    return f" It adds nothing at {at:.1f} °C."
 
 
 def _when_settled(finding: Mapping[str, Any]) -> str:
@@ -179,8 +192,10 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
     return f"{shown}; they do not tell it from an exchange of the other sensor's axes."
 
 
-def _lasting(finding: Mapping[str, Any]) -> str:
-    """Return when there is a vibration that is there for a part of the recording; "" for anything else."""
+def _when(finding: Mapping[str, Any]) -> str:
+    """Return when a step comes, or a vibration lasts that is there for a part of the recording; else ""."""
+    if finding["effect"].endswith("_bias_step"):
+        return f" It comes at {finding['where']['t_start']:.0f} s."
     own = finding["simulated" if finding["relation"] == "superfluous" else "parameters"]
     fraction = own.get("fraction", {"value": 1.0})["value"]
     if finding["effect"] != "vibration_tone" or float(np.max(fraction)) >= 1.0:

@@ -158,6 +158,26 @@ def test_a_bias_names_the_temperature_that_it_holds_at() -> None:
     warm = finding | {"reference": {"temperature_c": 31.24}}
     assert "The numbers hold at 31.2 °C." in statement(warm, ("real.csv", "sim.csv"))
     assert "°C" not in statement(finding, ("real.csv", "sim.csv"))
+    slope = {
+        "effect": "accel_bias_temperature",
+        "parameters": {"slope": {"value": [0.1] * 3, "unit": "mg/K"}},
+    }
+    assert "It adds nothing at 31.2 °C." in statement(warm | slope, ("real.csv", "sim.csv"))
+
+
+def test_a_step_says_when_it_comes() -> None:
+    finding = {
+        "effect": "accel_bias_step",
+        "sensor": "accel",
+        "axes": ["x"],
+        "relation": "lacking",
+        "alternatives": [],
+        "where": {"t_start": 800.0, "t_end": 1500.0, "driver": "time"},
+        "parameters": {"step": {"value": [0.1, 0.0, 0.0], "unit": "m/s^2"}},
+        "simulated": {},
+        "difference": {},
+    }
+    assert statement(finding, ("real.csv", "sim.csv")).endswith(" It comes at 800 s.")
 
 
 def test_a_time_constant_is_called_one() -> None:
