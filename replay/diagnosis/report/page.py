@@ -161,8 +161,12 @@ def _contents(findings: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _title(finding: Mapping[str, Any]) -> str:
+    """Return what a finding is called: a line also by its frequency, and a step by its time."""
     axes = ", ".join(finding["axes"])
-    return capital(noun(finding["effect"], finding["sensor"])) + (f" on {axes}" if axes else "")
+    own = finding["simulated" if finding["relation"] == "superfluous" else "parameters"]
+    line = f", {own['frequency']['value']:.4g} Hz" if "frequency" in own else ""
+    step = f", at {finding['where']['t_start']:.0f} s" if finding["effect"].endswith("_bias_step") else ""
+    return capital(noun(finding["effect"], finding["sensor"])) + (f" on {axes}" if axes else "") + line + step
 
 
 def _findings(judged: Judged) -> Iterator[str]:

@@ -19,6 +19,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.main import cli
 from stillcal.replay.diagnosis.diagnose import diagnose_recording
 from stillcal.replay.diagnosis.report.figures import drawing
+from stillcal.replay.diagnosis.report.page import _title
 from stillcal.replay.diagnosis.rest_table import diagnose_rests
 from stillcal.replay.diagnosis.words.summary import LINES, summary
 from stillcal.replay.formats.rest_table import read_rest_table
@@ -76,6 +77,20 @@ def test_one_page_says_all_and_needs_nothing_else(recording: Maker, written: Wri
     scenario.write_text('[[segment]]\nactivity = "table"\nduration_s = 60.0\n')
     made = ["simulate", str(scenario), "--phone", str(out["p.toml"]), "--out", str(tmp_path / "again.csv")]
     assert CliRunner().invoke(cli, made).exit_code == 0
+
+
+def test_lines_and_steps_are_told_apart_by_their_titles() -> None:
+    finding = {
+        "effect": "vibration_tone",
+        "sensor": "accel",
+        "axes": ["x"],
+        "relation": "superfluous",
+        "where": {"t_start": 800.0},
+        "simulated": {"frequency": {"value": 17.3, "unit": "Hz"}},
+    }
+    assert _title(finding).endswith(" on x, 17.3 Hz")
+    step = {"effect": "accel_bias_step", "relation": "lacking", "parameters": {}}
+    assert _title(finding | step).endswith(" on x, at 800 s")
 
 
 def test_a_legend_lies_on_no_curve_however_it_runs() -> None:
