@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer.parameters import ALL, names
 from stillcal.calib_core.accelerometer.six_faces import common_rotation
@@ -161,9 +162,14 @@ def _shows_calibration(part: AccelerometerRecord, learnt: Learnt, memory: Memory
         stated = stated_uncertainty(_part(part, learnt, memory))
     except ValueError:  # its scale is no sensor's
         return False
-    missed = float(np.median(learnt.errors[learnt.t >= max(learnt.steps, default=-np.inf)]))
+    missed = float(np.median(learnt.errors[_since_step(learnt)]))
     knocked = np.abs(learnt.bias - part.bias).max() <= LARGEST_KNOCK
     return stated is not None and max(stated, missed) <= LEAST_KNOWN and bool(knocked)
+
+
+def _since_step(learnt: Learnt) -> NDArray[np.bool_]:
+    """Tell which rests (n,) have come since the newest step of the bias."""
+    return np.asarray(learnt.t >= max(learnt.steps, default=-np.inf))
 
 
 def _checked_as(record: CalibrationRecord, part: AccelerometerRecord) -> CalibrationRecord:
@@ -212,7 +218,7 @@ def _held_out(
     Rests before the bias stepped say nothing of what holds after it.
     """
     since = -np.inf if record.fitted_at is None else record.fitted_at
-    held_out = (learnt.t > since) & (learnt.t >= max(learnt.steps, default=-np.inf))
+    held_out = (learnt.t > since) & _since_step(learnt)
     old, new = np.abs(_residuals(record, part, memory))[held_out], learnt.errors[held_out]
     gains = (old**2 - new**2) / (2 * learnt.errors_sd[held_out] ** 2)
     _, block = np.unique(np.floor(learnt.t[held_out] / BLOCK_S), return_inverse=True)

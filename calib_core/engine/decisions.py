@@ -53,7 +53,7 @@ from stillcal.calib_core.engine.schedule import (
     calibration_due,
     wandered_by,
 )
-from stillcal.calib_core.engine.sensor_faults import LEAST_S, sensor_faults
+from stillcal.calib_core.engine.sensor_faults import LEAST_S, failure, sensor_faults
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
@@ -288,7 +288,7 @@ class CalibrationPolicy:
         for sensor in Sensor:
             fault = state.faults.get(sensor)
             if fault is not None and fault != before.get(sensor):
-                self._actions.append(Log(t, Level.WARNING, "sensor", f"the {sensor} fails: {fault}"))
+                self._actions.append(Log(t, Level.WARNING, "sensor", failure(sensor, fault)))
             elif fault is None and sensor in before:
                 self._actions.append(Log(t, Level.INFO, "sensor", f"the {sensor} works again"))
 

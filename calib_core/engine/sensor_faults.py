@@ -21,6 +21,11 @@ NO_SAMPLES = "it sends no samples, although the other sensor does"
 NONE_OF_USE = "it sends no samples, too few of them, or one value again and again"
 
 
+def failure(sensor: Sensor, fault: str) -> str:
+    """Return what is said of a sensor that has failed."""
+    return f"the {sensor} fails: {fault}"
+
+
 def sensor_faults(
     then: Ledger, now: Ledger, has_gyroscope: bool, silent: bool, before: Mapping[Sensor, str]
 ) -> dict[Sensor, str]:

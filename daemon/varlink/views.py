@@ -16,6 +16,7 @@ from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeR
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
 from stillcal.calib_core.engine.laid_faces import Stage
+from stillcal.calib_core.engine.sensor_faults import failure
 from stillcal.calib_core.static.settings import Label, Sense
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day
@@ -200,7 +201,7 @@ def status(daemon: Daemon) -> api.Status:
         decides_in_s=None if now is None or math.isinf(view.decides) else max(view.decides - now, 0.0),
         gravity=view.gravity.value,
         seed=daemon.seed,
-        sensor_faults=[f"the {sensor} fails: {fault}" for sensor, fault in view.faults.items()],
+        sensor_faults=[failure(sensor, fault) for sensor, fault in view.faults.items()],
     )
 
 

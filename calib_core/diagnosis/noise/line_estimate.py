@@ -34,6 +34,9 @@ CLOCK = 2e-5
 EITHER_END = float(np.sqrt(2.0 / 12.0))
 """Standard deviation of the sum of two numbers, each uniform between 0 and 1."""
 
+BESIDE: Index = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
+"""Steps from a line, on either side, at which its neighbours are."""
+
 OVERLAPPING = 0.2
 """Part by which the variance of a sum of powers is more where stretches overlap by half: under half a sine
 two of them correlate by 0.1."""
@@ -74,10 +77,13 @@ def axes_alike(nats: Array) -> float:
 
 def profile(seen: Stretches, rows: Index, middle: int) -> Array:
     """Return the power (41,) about a line, summed over stretches, in steps of what each one tells apart."""
-    steps = np.arange(-20, 21)
+    return np.asarray(_powers(seen, rows, middle, np.arange(-20, 21)).sum(axis=(0, 2)))
+
+
+def _powers(seen: Stretches, rows: Index, middle: int, steps: Index) -> Array:
+    """Return the powers (rows, n, 3) so many steps (n,) from a line, in what each stretch tells apart."""
     at = middle + np.round(np.outer(seen.wider[rows], steps)).astype(np.int64)
-    within = np.clip(at, 0, seen.f.size - 1)
-    return np.asarray(seen.power[rows[:, None], within].sum(axis=(0, 2)))
+    return np.asarray(seen.power[rows[:, None], np.clip(at, 0, seen.f.size - 1)])
 
 
 def _noise(seen: Stretches, rows: Index, middle: int) -> Array:
@@ -86,23 +92,14 @@ def _noise(seen: Stretches, rows: Index, middle: int) -> Array:
     Of the two sides the one counts that is louder in all stretches together: at the edge of a band in which
     something shakes, or where a line that wanders turns, the mean of both is half of what is on one.
     """
-    away = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
-    steps = np.round(np.outer(seen.wider[rows], away)).astype(np.int64)
-    sides = np.stack(
-        [
-            seen.power[rows[:, None], np.clip(middle + sign * steps, 0, seen.f.size - 1)].mean(axis=1)
-            for sign in (-1, 1)
-        ]
-    )
+    sides = np.stack([_powers(seen, rows, middle, sign * BESIDE).mean(axis=1) for sign in (-1, 1)])
     total = sides.sum(axis=1)
     return np.asarray(sides.mean(axis=0) * (total.max(axis=0) / np.maximum(total.mean(axis=0), 1e-300)))
 
 
 def _beside(seen: Stretches, rows: Index, middle: int) -> Array:
     """Return the powers (n, 3) of a line's neighbours, each over their mean in its stretch, as nats."""
-    away = np.arange(OWN // 2 + 1, (OWN + NEIGHBOURS) // 2 + 1)
-    steps = np.round(np.outer(seen.wider[rows], np.concatenate([-away, away]))).astype(np.int64)
-    power = seen.power[rows[:, None], np.clip(middle + steps, 0, seen.f.size - 1)]
+    power = _powers(seen, rows, middle, np.concatenate([-BESIDE, BESIDE]))
     return told(power / np.maximum(power.mean(axis=1, keepdims=True), 1e-300)).reshape(-1, 3)
 
 

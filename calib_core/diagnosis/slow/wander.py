@@ -123,8 +123,7 @@ def wanders_of(views: Sequence[Reduced]) -> list[Wander]:
 
 def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Finding]:
     """Find wander of a bias beyond what Android allows. reduced: the residuals, what was found taken out."""
-    limit = thresholds.RANDOM_WALK[residuals.sensor]
-    seen = [w for v, w in zip(residuals.views, wanders_of(reduced), strict=True) if v.name != "tangent"]
+    limit, seen = thresholds.RANDOM_WALK[residuals.sensor], _of_views(residuals, reduced)
     by_axis = seen if len(seen) == 3 else seen * 3
     axes = [a for a, w in zip(AXES, by_axis, strict=True) if w.walks_beyond(limit) >= thresholds.CERTAIN_WALK]
     if axes:
@@ -136,8 +135,13 @@ def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Findi
 def log_evidence(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> float:
     """Return the evidence, nats, for wander beyond what a phone may have, on the axis that shows it best."""
     limit = thresholds.RANDOM_WALK[residuals.sensor]
-    seen = [w for v, w in zip(residuals.views, wanders_of(reduced), strict=True) if v.name != "tangent"]
-    return max(w.log_bayes_factor(limit) for w in seen)
+    return max(w.log_bayes_factor(limit) for w in _of_views(residuals, reduced))
+
+
+def _of_views(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Wander]:
+    """Return the wander of the views that show all of it; across gravity there is what a pose has."""
+    wanders = wanders_of(reduced)
+    return [w for v, w in zip(residuals.views, wanders, strict=True) if v.name != "tangent"]
 
 
 def _random_walk(

@@ -29,7 +29,7 @@ from stillcal.replay.diagnosis.words.names import (
     simulation_text,
 )
 from stillcal.replay.diagnosis.words.next_recording import to_record
-from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, with_interval
+from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, side_of, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
 from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in
 from stillcal.replay.palette import BLUE, GREEN, RED
@@ -163,7 +163,7 @@ def _contents(findings: Sequence[Mapping[str, Any]]) -> str:
 def _title(finding: Mapping[str, Any]) -> str:
     """Return what a finding is called: a line also by its frequency, and a step by its time."""
     axes = ", ".join(finding["axes"])
-    own = finding["simulated" if finding["relation"] == "superfluous" else "parameters"]
+    own = finding[side_of(finding)]
     line = f", {own['frequency']['value']:.4g} Hz" if "frequency" in own else ""
     step = f", at {finding['where']['t_start']:.0f} s" if finding["effect"].endswith("_bias_step") else ""
     return capital(noun(finding["effect"], finding["sensor"])) + (f" on {axes}" if axes else "") + line + step

@@ -196,11 +196,15 @@ def _when(finding: Mapping[str, Any]) -> str:
     """Return when a step comes, or a vibration lasts that is there for a part of the recording; else ""."""
     if finding["effect"].endswith("_bias_step"):
         return f" It comes at {finding['where']['t_start']:.0f} s."
-    own = finding["simulated" if finding["relation"] == "superfluous" else "parameters"]
-    fraction = own.get("fraction", {"value": 1.0})["value"]
+    fraction = finding[side_of(finding)].get("fraction", {"value": 1.0})["value"]
     if finding["effect"] != "vibration_tone" or float(np.max(fraction)) >= 1.0:
         return ""
     return f" It lasts from {finding['where']['t_start']:.0f} to {finding['where']['t_end']:.0f} s."
+
+
+def side_of(finding: Mapping[str, Any]) -> str:
+    """Return under which key the numbers stand of the one that has the effect."""
+    return "simulated" if finding["relation"] == "superfluous" else "parameters"
 
 
 def _departing(finding: Mapping[str, Any]) -> str:
@@ -240,9 +244,8 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
 def _nameless(finding: Mapping[str, Any], recording: str, simulation: str, observed: str) -> str:
     """Return what is said of something without a name."""
     what = noun(finding["effect"], finding["sensor"])
-    superfluous = finding["relation"] == "superfluous"
-    owner, other = (simulation, recording) if superfluous else (recording, simulation)
-    side = "simulated" if superfluous else "parameters"
+    side = side_of(finding)
+    owner, other = (simulation, recording) if side == "simulated" else (recording, simulation)
     seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
     driver = finding["where"]["driver"]
     if finding.get("of_either"):
