@@ -53,7 +53,7 @@ from stillcal.calib_core.engine.schedule import (
     calibration_due,
     wandered_by,
 )
-from stillcal.calib_core.engine.sensor_faults import LEAST_S, failure, sensor_faults
+from stillcal.calib_core.engine.sensor_faults import LEAST_S, is_deaf, sensor_faults, told
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
@@ -283,14 +283,13 @@ class CalibrationPolicy:
         state, ledger = self._state, self._detector.ledger
         before, has_gyroscope = state.faults, Sensor.GYROSCOPE in state.latest
         state.faults = sensor_faults(state.inspected, ledger, has_gyroscope, silent, before)
+        if state.rates_doubted:
+            state.faults[Sensor.GYROSCOPE] = state.rates_doubted
+        if is_deaf(state.inspected, ledger):
+            self._detector.learn_gyroscope_anew()
         if ledger.accel_on_s - state.inspected.accel_on_s >= LEAST_S:
             state.inspected = ledger
-        for sensor in Sensor:
-            fault = state.faults.get(sensor)
-            if fault is not None and fault != before.get(sensor):
-                self._actions.append(Log(t, Level.WARNING, "sensor", failure(sensor, fault)))
-            elif fault is None and sensor in before:
-                self._actions.append(Log(t, Level.INFO, "sensor", f"the {sensor} works again"))
+        self._actions += told(t, before, state.faults)
 
     def notice_change(self, t: float) -> None:
         """Check at t (s) before a check is due where the rests since the last one already show a change.

@@ -16,6 +16,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest
 from stillcal.calib_core.calibration.suspicion import innovation, suspected
 from stillcal.calib_core.engine.actions import Action, Level, Log
+from stillcal.calib_core.engine.sensor_faults import rate_fault, told, without_rates
 from stillcal.calib_core.engine.settings import EngineSettings, Watch
 from stillcal.calib_core.engine.state import EngineState, Move
 from stillcal.calib_core.gravity import Gravity, LocationError
@@ -24,6 +25,7 @@ from stillcal.calib_core.static.detector import StationaryDetector
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Location
 from stillcal.calib_core.streams.samples import SampleError, Samples, Sensor
+from stillcal.calib_core.temperature.memory import Memory
 
 _SLACK_S = 60.0
 """s: gyroscope samples are kept this much longer than a rotation segment and the rest that ends it may last.
@@ -185,6 +187,7 @@ class Intake:
             lagged = state.thermometer.lagged(middle, rest.temperature)
             rest = msgspec.structs.replace(rest, lagged=frozen(lagged))
             self.hear(np.array([middle]), np.array([rest.temperature]))
+        rest = self._with_sound_rates(rest)
         state.pool = self._index.with_rest(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
         state.attitudes = self._index.attitudes(state.pool)
         state.memory = state.memory.with_rest(rest, state.pool.held[-1].gravity.value)
@@ -192,7 +195,7 @@ class Intake:
         state.fresh += 1
         state.counters.rests += 1
         self.join_tail()
-        if state.last_rest is not None and state.gyro_tail is not None:
+        if state.last_rest is not None and state.gyro_tail is not None and not state.rates_doubted:
             segment = cut_rotation_segment(state.last_rest, rest, state.gyro_tail, self._settings.turns)
             if isinstance(segment, RotationSegment):
                 state.pool = state.pool.with_segment(segment, self._settings.pool)
@@ -202,6 +205,22 @@ class Intake:
         state.last_rest = rest
         why = f"lay still for {rest.duration:.1f} s"
         self._actions.append(Log(rest.t_end, Level.DEBUG, "rest", why, {"n": rest.n}))
+
+    def _with_sound_rates(self, rest: RestState) -> RestState:
+        """Return a rest, without its rates where they cannot be the gyroscope's bias; that is told once."""
+        if rest.rate is None:
+            return rest
+        state, significance, before = self._state, self._settings.quality.significance, self._state.faults
+        alone = Memory().with_rest(rest, self._gravity_at(rest.t_end).value)
+        missed = None if state.record is None else innovation(state.record, Sensor.GYROSCOPE, alone)
+        fault = rate_fault(rest, missed, state.pool.rests, significance)
+        if bool(fault) is not bool(state.rates_doubted):
+            state.rates_doubted, state.faults = fault, dict(before)
+            state.faults.pop(Sensor.GYROSCOPE, None)
+            if fault:
+                state.faults[Sensor.GYROSCOPE] = fault
+            self._actions += told(rest.t_end, before, state.faults)
+        return without_rates(rest) if fault else rest
 
     def _suspect(self) -> None:
         """Compare the newest rest with what is stated of both biases."""

@@ -102,6 +102,7 @@ class EngineState:
     steps of a bias that a single rest since the last check may have shown. trials: terms of a diagnosis that
     are tested on the rests since. faces: how far six known faces have come that were asked for. faults: what
     is wrong with a sensor, in words. inspected: the detector's counts when that was last looked at.
+    rates_doubted: what is wrong with the gyroscope by the newest rest, whose rates were left out; else empty.
     """
 
     detector: DetectorState | None = None
@@ -140,6 +141,7 @@ class EngineState:
     faces: LaidFaces | None = None
     faults: dict[Sensor, str] = field(default_factory=dict)
     inspected: Ledger = field(default_factory=Ledger)
+    rates_doubted: str = ""
     counters: Counters = field(default_factory=Counters)
 
     @property

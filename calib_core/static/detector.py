@@ -144,6 +144,11 @@ class StationaryDetector:
             self._state.mode, self._state.gathered.probe = mode, None
         return self._gatherer.take_rests()
 
+    def learn_gyroscope_anew(self) -> None:
+        """Forget the gyroscope's noise, because it no longer is what was learnt."""
+        self._learn()
+        self._state.floors[1], self._state.coarse[1] = Floor(), Coarseness()
+
     def wants(self, now: float) -> Want:
         """Return the detector's request at time `now`, s: samples until some time, or none before one.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
@@ -12,7 +13,7 @@ from stillcal.calib_core.engine.actions import Log
 from stillcal.calib_core.engine.intake import ACCEL_PATIENCE_S
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from tests.calib_core.engine.test_boat import FACES, calibrated, lying
+from tests.calib_core.engine.test_boat import FACES, RATE_BIAS, calibrated, lying
 
 HOUR = 60
 WATCHED = EngineSettings(ScheduleSettings(watch="continuous"))
@@ -42,6 +43,16 @@ def frozen_at(samples: Samples, value: float, axes: Sequence[int] = (0, 1, 2)) -
     return replace(samples, xyz=frozen(held))
 
 
+def times(factor: float, gyro: Samples) -> Samples:
+    """Return samples multiplied by a factor."""
+    return replace(gyro, xyz=frozen(factor * gyro.xyz))
+
+
+def far_off(gyro: Samples) -> Samples:
+    """Return samples in deg/s, without the noise of that, which by itself would show no rest."""
+    return replace(gyro, xyz=frozen(gyro.xyz + 56.3 * RATE_BIAS))
+
+
 FAILURES: dict[str, tuple[Callable[[Samples, Samples], list[Samples]], str]] = {
     "no accelerometer": (lambda gyro, accel: [gyro], "accelerometer fails: it sends no samples, although"),
     "no gyroscope": (lambda gyro, accel: [accel], "gyroscope fails: it sends no samples, too few"),
@@ -51,6 +62,11 @@ FAILURES: dict[str, tuple[Callable[[Samples, Samples], list[Samples]], str]] = {
         "accelerometer fails: it shows one value",
     ),
     "frozen gyroscope": (lambda gyro, accel: [frozen_at(gyro, 0.0), accel], "or one value again and again"),
+    "smaller range": (
+        lambda gyro, accel: [times(1 / 8, gyro), accel],
+        "times as large as before: its unit or range has changed",
+    ),
+    "in deg/s": (lambda gyro, accel: [times(57.3, gyro), accel], "motion while the accelerometer lies still"),
     "in g": (lambda gyro, accel: [gyro, replace(accel, xyz=accel.xyz / 9.81)], "check its unit"),
 }
 
@@ -60,6 +76,7 @@ def test_a_sensor_that_fails_is_told_once_and_again_when_it_works(failure: str) 
     engine, t = calibrated(WATCHED)
     change, words = FAILURES[failure]
     told = []
+    bias = engine.state.record.gyroscope.bias
     for minute in range(4 * HOUR + 15):
         gyro, accel = lying(t + 60.0 * minute, FACES[minute // 20 % 6], 59.0)
         failing = HOUR <= minute < 3 * HOUR + 15
@@ -69,3 +86,28 @@ def test_a_sensor_that_fails_is_told_once_and_again_when_it_works(failure: str) 
     assert words in fails.why and fails.level == "warning" and "works again" in works.why
     assert t + 3600.0 < fails.t < t + 3.2 * 3600.0 < works.t
     assert not engine.state.faults
+    assert np.abs(engine.state.record.gyroscope.bias - bias).max() < 1e-3
+
+
+RATES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
+    "another range": (
+        lambda gyro: times(2.0, gyro),
+        "are 2 times as large as before: its unit or range has changed",
+    ),
+    "far too large": (far_off, "too large for a bias"),
+}
+
+
+@pytest.mark.parametrize("change", RATES)
+def test_rates_that_are_no_bias_are_told_at_the_next_rests_and_not_learnt_from(change: str) -> None:
+    engine, t = calibrated(WATCHED)
+    changed, words = RATES[change]
+    told: list[Log] = []
+    for minute in range(30):
+        gyro, accel = lying(t + 60.0 * minute, FACES[minute // 2 % 6], 59.0)
+        lines = engine.feed(changed(gyro) if 5 <= minute < 20 else gyro, accel)
+        told += [a for a in lines if isinstance(a, Log) and a.what == "sensor"]
+    fails, works = told
+    assert words in fails.why and t + 300.0 < fails.t < t + 480.0
+    assert "works again" in works.why and t + 1200.0 < works.t < t + 1400.0 and not engine.state.faults
+    assert engine.state.record.gyroscope.bias == pytest.approx(RATE_BIAS, abs=3e-4)
