@@ -21,9 +21,10 @@ LEAST_S = 60.0
 _SHARE = 0.5
 """Share of the windows that must have the same fault."""
 
+_ONE_VALUE = "it shows one value again and again"
 _MOVES_ALONE = "it shows motion while the accelerometer lies still: check its unit, its range and its noise"
 _OF_WINDOWS = {
-    Label.FROZEN: (Sensor.ACCELEROMETER, "it shows one value again and again"),
+    Label.FROZEN: (Sensor.ACCELEROMETER, _ONE_VALUE),
     Label.IMPLAUSIBLE: (
         Sensor.ACCELEROMETER,
         "its readings at rest are not of gravity's size: check its unit and its range",
@@ -44,7 +45,7 @@ _LEAST_BIAS = 10.0
 """Standard uncertainties: only a bias that is as large shows a factor."""
 
 _HOLDS = 1e-9
-"""rad/s: samples that scatter by less than this show one value."""
+"""rad/s: an axis whose samples scatter by less than this shows one value."""
 
 
 def failure(sensor: Sensor, fault: str) -> str:
@@ -110,6 +111,10 @@ def rate_fault(
     if missed is None or not missed.surprises(significance):
         return ""
     noise = np.array([r.rate_sd for r in earlier if r.rate_sd is not None]).reshape(-1, 3)
+    lively = np.mean(noise > _HOLDS, axis=0) > _SHARE if len(noise) else np.zeros(3, dtype=bool)
+    far = np.abs(missed.missed) > significance * missed.sd
+    if (far & lively & (rest.rate_sd < _HOLDS)).any():
+        return f"an axis of it sticks: {_ONE_VALUE}"
     factor = _factor(rest.rate, missed, significance)
     if factor is None or not len(noise) or not _is_as_noisy(factor, rest.rate_sd, noise):
         return ""

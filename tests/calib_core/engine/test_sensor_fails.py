@@ -89,12 +89,23 @@ def test_a_sensor_that_fails_is_told_once_and_again_when_it_works(failure: str) 
     assert np.abs(engine.state.record.gyroscope.bias - bias).max() < 1e-3
 
 
+def stuck_axis(gyro: Samples) -> Samples:
+    """Return samples of a coarse sensor whose z axis holds the value that it had in motion."""
+    return frozen_at(coarse(gyro), 0.295, [2])
+
+
+def coarse(gyro: Samples) -> Samples:
+    """Return samples in steps as large as their noise."""
+    return replace(gyro, xyz=frozen(np.round(gyro.xyz / 0.002) * 0.002))
+
+
 RATES: dict[str, tuple[Callable[[Samples], Samples], str]] = {
     "another range": (
         lambda gyro: times(2.0, gyro),
         "are 2 times as large as before: its unit or range has changed",
     ),
     "far too large": (far_off, "too large for a bias"),
+    "a stuck axis": (stuck_axis, "an axis of it sticks: it shows one value"),
 }
 
 
