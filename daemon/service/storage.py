@@ -6,7 +6,6 @@ write that fails is tried again later and delays nothing else.
 
 from __future__ import annotations
 
-import os
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
@@ -118,7 +117,7 @@ class Storage:
 
     async def rollback(self, target: int | str) -> StoreDocument:
         """Make an earlier calibration current. Raises ValueError where there is none such."""
-        self._take_outcome(await self._run(self._store.rollback, target))
+        self._take_outcome(await self._run(self._rollback, target, self.document))
         return self.document
 
     def paths(self) -> set[Path]:
@@ -142,11 +141,9 @@ class Storage:
         self._store.close()
 
     def _hold(self, document: StoreDocument) -> None:
-        """Take a removed lock anew, and write a removed store again. Raises StoreError."""
-        self._store.lock()
-        if (document.current or document.history) and not os.path.lexists(self._store.path):
-            self._store.save(document)
-            self._note(f"{self._store.path} was removed while it is in use: written again")
+        """Take a removed lock anew, and write a removed or damaged store again. Raises StoreError."""
+        for note in self._store.hold(document):
+            self._note(note)
 
     def _write(self, action: Change, document: StoreDocument) -> Outcome:
         self._hold(document)
@@ -155,6 +152,10 @@ class Storage:
         if isinstance(action, Forget):
             return self._store.retire(action.reason, action.t)
         return self._store.publish(action.record, action.reason, action.t)
+
+    def _rollback(self, target: int | str, document: StoreDocument) -> Outcome:
+        self._hold(document)
+        return self._store.rollback(target)
 
     def _save(self, data: bytes, document: StoreDocument) -> None:
         self._hold(document)

@@ -82,6 +82,11 @@ class StoreDocument:
     current: CalibrationRecord | None = None
     history: tuple[HistoryEntry, ...] = ()
 
+    @property
+    def blank(self) -> bool:
+        """Whether there is neither a calibration nor a history."""
+        return self.current is None and not self.history
+
     def after_publishing(
         self, calibration: CalibrationRecord, limit: int, reason: str = "", at: float | None = None
     ) -> StoreDocument:

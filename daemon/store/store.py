@@ -84,6 +84,8 @@ class Store:
             raise StoreError(f"{path}: is a folder: give the path of a file")
         self.settings = settings or StoreSettings()
         self._lock: int | None = None
+        self._left: tuple[tuple[int, int, int] | None, ...] = ()
+        """By what `_signs` tells the files as this process left them."""
 
     @property
     def last_good_path(self) -> Path:
@@ -121,6 +123,20 @@ class Store:
             descriptor, self._lock = self._lock, None
             with suppress(OSError):  # it is free even so (close(2))
                 os.close(descriptor)
+
+    def hold(self, known: StoreDocument) -> tuple[str, ...]:
+        """Stay the store's only writer, and undo what others have done to its files; return what to log.
+
+        known: what this process last read or wrote, which is written again where the files hold nothing
+        usable. Raises StoreError.
+        """
+        self.lock()
+        return () if self._signs() == self._left else self.recover(known).notes
+
+    def _signs(self) -> tuple[tuple[int, int, int] | None, ...]:
+        """Return what changes whenever somebody writes to the store or its copy; None where one is gone."""
+        with self._explaining():
+            return tuple(_signs(path) for path in (self.path, self.last_good_path))
 
     def load(self) -> StoreDocument | None:
         """Return the document, from the last good copy where the store is damaged; None where there is none.
@@ -173,34 +189,42 @@ class Store:
         if not stat.S_ISREG(found.st_mode):
             raise StoreError(f"{self.path} cannot be a store: not a regular file: give another path")
 
-    def recover(self) -> Outcome:
+    def recover(self, known: StoreDocument | None = None) -> Outcome:
         """Make the store usable: to be called before the first use, and called again before every change.
 
         A damaged file is set aside under a new name, never overwritten; the last good copy takes its place.
-        A store of an earlier schema is migrated and its original kept. Raises StoreError, also where the file
-        is of another program and no last good copy shows that a store was there.
+        A store of an earlier schema is migrated and its original kept. known: the store's contents, as far as
+        this process knows, which are written where the files hold none. Raises StoreError, also where the
+        file is of another program and neither a last good copy nor `known` shows that a store was there.
         """
+        known = known or StoreDocument()
         with self._locked(), self._explaining():
-            verification = self.verify()
-            if verification.store.foreign and not verification.last_good.there:
-                raise StoreError(
-                    f"{self.path} is not a stillcal store ({verification.store.problem}): "
-                    "give another path, or move it away to begin anew"
-                )
-            if verification.last_good.regular:
-                return self._recovered(verification)
-            aside = self._set_aside(self.last_good_path, "unreadable")
-            self.last_good_path.unlink(missing_ok=True)  # a FIFO or a link, which has two names now
-            note = f"{self.last_good_path} was {verification.last_good.problem}; set aside as {aside}"
-            outcome = self._recovered(self.verify())
-            return replace(outcome, notes=(note, *outcome.notes))
+            outcome = self._recovered(known)
+            self._left = self._signs()
+            return outcome
 
-    def _recovered(self, verification: Verification) -> Outcome:
+    def _recovered(self, known: StoreDocument) -> Outcome:
+        """Make the store usable whatever lies at its names."""
+        verification = self.verify()
+        if verification.store.foreign and known.blank and not verification.last_good.there:
+            raise StoreError(
+                f"{self.path} is not a stillcal store ({verification.store.problem}): "
+                "give another path, or move it away to begin anew"
+            )
+        if verification.last_good.regular:
+            return self._with_regular(verification, known)
+        aside = self._set_aside(self.last_good_path, "unreadable")
+        self.last_good_path.unlink(missing_ok=True)  # a FIFO or a link, which has two names now
+        note = f"{self.last_good_path} was {verification.last_good.problem}; set aside as {aside}"
+        outcome = self._with_regular(self.verify(), known)
+        return replace(outcome, notes=(note, *outcome.notes))
+
+    def _with_regular(self, verification: Verification, known: StoreDocument) -> Outcome:
         """Make the store usable where only regular files lie at its names."""
         if verification.store.problem is not None:
-            return self._replace_damaged(verification)
+            return self._replace_damaged(verification, known)
         if verification.store.document is None:
-            return Outcome(StoreDocument())
+            return self._begun(known)
         if verification.store.schema != SCHEMA:
             return self._migrate(verification.store.document, verification.store.schema)
         return self._copied(verification.store.document, verification.last_good)
@@ -216,6 +240,7 @@ class Store:
             with self._locked():
                 for path in (self.last_good_path, self.path):
                     write_atomically(path, data, self.settings.mode)
+                self._left = self._signs()
         except OSError as error:
             raise store_error(error, self.path, "write") from error
 
@@ -281,18 +306,28 @@ class Store:
             note = str(store_error(error, self.last_good_path, "write"))
         return Outcome(document, (note,))
 
-    def _replace_damaged(self, verification: Verification) -> Outcome:
+    def _begun(self, known: StoreDocument) -> Outcome:
+        """Begin a store, or write again what was there before somebody removed it."""
+        if known.blank:
+            return Outcome(known)
+        self.save(known)
+        return Outcome(known, (f"{self.path} was removed while it is in use: written again",))
+
+    def _replace_damaged(self, verification: Verification, known: StoreDocument) -> Outcome:
         aside = self._set_aside(self.path, "unreadable")
         damage = f"{self.path} was {verification.store.problem}; set aside as {aside}"
         if verification.last_good.document is not None:
             self.save(verification.last_good.document)
             return Outcome(verification.last_good.document, (f"{damage}; its last good copy replaces it",))
-        notes = [f"{damage}; there is no good copy: starting without a calibration"]
+        copy = "there is no good copy"
         if verification.last_good.problem is not None:
             aside = self._set_aside(self.last_good_path, "unreadable")
-            notes.append(f"{self.last_good_path} was {verification.last_good.problem}; set aside as {aside}")
-        self._remove_damaged()
-        return Outcome(StoreDocument(), tuple(notes))
+            copy = f"{self.last_good_path.name} was {verification.last_good.problem}; set aside as {aside}"
+        if known.blank:
+            self._remove_damaged()
+            return Outcome(known, (f"{damage}; {copy}: starting without a calibration",))
+        self.save(known)
+        return Outcome(known, (f"{damage}; {copy}: it is written again as it was",))
 
     def _remove_damaged(self) -> None:
         """Remove the damaged names, which `_set_aside` has kept under others."""
@@ -323,3 +358,12 @@ class Store:
         raise StoreError(
             f"{path.parent} has 9,999 files set aside ({label}-…): remove those that are not needed"
         )
+
+
+def _signs(path: Path) -> tuple[int, int, int] | None:
+    """Return what changes whenever a file is written to; None where there is none."""
+    try:
+        found = path.lstat()
+    except FileNotFoundError:
+        return None
+    return found.st_ino, found.st_mtime_ns, found.st_size

@@ -192,6 +192,25 @@ def test_a_store_removed_while_it_is_in_use_is_written_again(path: Path) -> None
     storage.close()
 
 
+@pytest.mark.parametrize("garbage", [b"", b"\0\0\0", b"{", b"# somebody's notes\n"])
+def test_a_store_damaged_with_its_copy_while_it_is_in_use_is_written_again(
+    path: Path, garbage: bytes
+) -> None:
+    before, notes = path.read_bytes(), list[str]()
+    storage = Storage(Store(path), notes.append)
+    storage.open()
+    copy = path.with_name("store.json.last-good")
+    for damaged in (path, copy):
+        damaged.write_bytes(garbage)
+    assert asyncio.run(storage.check())
+    assert path.read_bytes() == copy.read_bytes() == before
+    assert len(notes) == 1 and notes[0].endswith(": it is written again as it was")
+    aside = list(path.parent.glob("store.json.unreadable-*"))
+    assert len(aside) == 2 and {p.read_bytes() for p in aside} == {garbage}
+    assert asyncio.run(storage.check()) and len(notes) == 1
+    storage.close()
+
+
 @contextmanager
 def umask(value: int) -> Iterator[None]:
     before = os.umask(value)
