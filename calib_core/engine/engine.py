@@ -100,6 +100,9 @@ class Engine:
                 self._take_samples(item)
             else:
                 self._take_event(item)
+        if self._state.began is None and self._intake.accelerometer_never_came:
+            self._begin(self._now())
+            self._policy.inspect_sensors(self._now(), silent=True)
         self._advance()
         return self._take_actions()
 

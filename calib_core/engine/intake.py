@@ -62,13 +62,21 @@ class Intake:
         self._settings, self._state, self._detector, self._actions = settings, state, detector, actions
         self._index = AttitudeIndex(settings.pool)
         self._after_tail: list[Samples] = []
-        self._alone = 0
+        self._alone, self._alone_since = 0, math.inf
         self._reach_s = settings.turns.max_duration + settings.detector.max_rest_s + _SLACK_S
 
     @property
     def accelerometer_silent(self) -> bool:
         """Whether the gyroscope sends samples and the accelerometer none."""
         return self._alone > SILENT_SAMPLES
+
+    @property
+    def accelerometer_never_came(self) -> bool:
+        """Whether the gyroscope has gone on alone from the start for longer than it is waited for."""
+        if Sensor.ACCELEROMETER in self._state.latest:
+            return False
+        looked_at_s = self._state.latest.get(Sensor.GYROSCOPE, -math.inf) - self._alone_since
+        return max(looked_at_s, self._gyroscope_alone_s(-math.inf)) > ACCEL_PATIENCE_S
 
     def take(self, samples: Samples) -> None:
         """Keep samples until `look` takes them. Raises SampleError where their stream runs backwards."""
@@ -110,10 +118,15 @@ class Intake:
         """Pass the samples before `stop` (s) to the detector and gather the rests that it returns."""
         state = self._state
         due = [block for sensor in Sensor if len(block := self._before(sensor, stop))]
-        if not due or state.watch is Watch.IDLE:
+        if not due:
             return
-        sensed = [block.sensor for block in due]
-        self._alone = 0 if Sensor.ACCELEROMETER in sensed else self._alone + sum(map(len, due))
+        if any(block.sensor is Sensor.ACCELEROMETER for block in due):
+            self._alone, self._alone_since = 0, math.inf
+        else:
+            self._alone += sum(map(len, due))
+            self._alone_since = min(self._alone_since, float(due[0].t[0]))
+        if state.watch is Watch.IDLE:
+            return
         for block in due:
             if state.watch is Watch.CONTINUOUS and block.temperature is not None:
                 self.hear(block.t, block.temperature)

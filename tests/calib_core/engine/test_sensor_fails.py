@@ -10,8 +10,10 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.engine.actions import Log
+from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.intake import ACCEL_PATIENCE_S
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.engine.test_boat import FACES, RATE_BIAS, calibrated, lying
 
@@ -34,6 +36,20 @@ def test_where_the_accelerometer_stops_time_goes_on_and_nothing_piles_up() -> No
     for begin in range(301, 306):
         engine.feed(*lying(t + 60.0 * begin, FACES[1], 59.0))
     assert engine.state.counters.rests > rests and not engine.state.check_due
+
+
+@pytest.mark.parametrize("ticks", [False, True])
+def test_an_accelerometer_that_never_came_is_told_and_may_come_later(ticks: bool) -> None:
+    engine, told = Engine(WATCHED), []
+    for minute in range(90):
+        blocks = lying(60.0 * minute, FACES[minute // 2 % 6], 59.0)
+        time = [Tick(60.0 * minute + 59.0)] if ticks else []
+        lines = engine.feed(*blocks[: 1 if minute < 15 else 2], *time)
+        told += [a for a in lines if isinstance(a, Log) and a.what == "sensor"]
+    fails, works = told
+    assert fails.why == "the accelerometer fails: it sends no samples, although the other sensor does"
+    assert fails.t < 15 * 60.0 < works.t and "works again" in works.why
+    assert engine.state.record is not None and engine.state.record.gyroscope is not None
 
 
 def frozen_at(samples: Samples, value: float, axes: Sequence[int] = (0, 1, 2)) -> Samples:
