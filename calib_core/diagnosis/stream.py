@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, usual
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, share
 from stillcal.calib_core.diagnosis.noise.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples
@@ -217,11 +218,23 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
 
 
 def _without_echoes(found: list[Finding]) -> list[Finding]:
-    """Leave out a gyroscope's line at the frequency of one of the accelerometer's.
+    """Leave out a gyroscope's line at the frequency of one of the accelerometer's, which says so.
 
     A vibration of the phone that both sensors feel is the force's.
     """
-    heard = [f for f in found if is_line(f)]
-    felt = [middle_hz(f) for f in heard if f.sensor == "accel"]
-    echoes = [f for f in heard if f.sensor == "gyro" and any(abs(middle_hz(f) - x) < SAME_HZ for x in felt)]
-    return [f for f in found if not any(f is echo for echo in echoes)]
+    heard = [f for f in found if is_line(f) and f.sensor == "gyro"]
+    echoes: list[Finding] = []
+    kept: list[Finding] = []
+    for one in found:
+        felt = is_line(one) and one.sensor == "accel"
+        also = [f for f in heard if felt and abs(middle_hz(f) - middle_hz(one)) < SAME_HZ]
+        echoes += also
+        kept.append(replace(one, remark=" ".join([one.remark, *map(_echo, also)])) if also else one)
+    return [f for f in kept if not any(f is echo for echo in echoes)]
+
+
+def _echo(line: Finding) -> str:
+    """Say that the gyroscope has a line too."""
+    size = np.atleast_1d(np.asarray(line.parameters["amplitude"].value, dtype=np.float64))
+    sizes = ", ".join(f"{a} {size[AXES.index(a)]:.3g}" for a in line.axes)
+    return f"The gyroscope has it too, amplitude {sizes} {UNIT[line.sensor]}."

@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
 from stillcal.calib_core.diagnosis.noise.line_estimate import (
     CLOCK,
+    IN_STEP,
     SIGNIFICANT,
     axes_alike,
     of_axes,
@@ -40,10 +41,6 @@ LOUDEST = 2.0
 
 MOST_PASSED = 4
 """Frequencies that are looked at for a line, for time: what few stretches have is passed over."""
-
-IN_STEP = 0.9
-"""Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
-exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
 
 EDGE = 0.025
 """Weight of all tapers together, below which a rest begins or ends: one second of 20, as hands let go."""

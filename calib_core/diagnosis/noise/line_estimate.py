@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
@@ -43,6 +44,13 @@ two of them correlate by 0.1."""
 
 STUDENT = 1.42
 """Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
+REACH = 4.0
+"""Standard errors of a line's frequency within which it is looked for by phase."""
+
+IN_STEP = 0.9
+"""Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
+exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
+
 SIGNIFICANT = 3.0
 """Standard errors from which an axis has a line: by chance one in 700."""
 
@@ -135,10 +143,36 @@ def _frequency(seen: Stretches, rows: Index, middle: int) -> tuple[float, float]
     power = (np.abs(_amplitudes(seen, few, float(grid[0]), FINE * step, grid.size)) ** 2).sum(axis=2)
     fold = blocks(len(power))
     best = peak(grid, power.sum(axis=0))
-    parts = np.array([peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
-    n = parts.size
-    error = STUDENT * float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
+    error = _left_out([peak(grid, power[fold != k].sum(axis=0)) for k in np.unique(fold)])
     return best, float(np.hypot(error, max(CLOCK * best, 2e-3 * step)))
+
+
+def _left_out(values: Sequence[float]) -> float:
+    """Return the standard error of a number from its values without each of some parts (jackknife)."""
+    parts, n = np.array(values), len(values)
+    return STUDENT * float(np.sqrt((n - 1) / n * ((parts - parts.mean()) ** 2).sum()))
+
+
+def _in_step(seen: Stretches, rows: Index, near: float, error: float) -> tuple[float, float]:
+    """Return frequency and standard error of a line, by its phase from stretch to stretch where it keeps one.
+
+    near, error: Hz, as single stretches tell it, and as it stays for a line that loses its phase.
+    """
+    line, middle = _amplitudes(seen, rows, near)[:, 0], seen.span[rows].mean(axis=1)
+    step = 1.0 / float(seen.span[rows[-1], 1] - seen.span[rows[0], 0])
+    reach = min(max(REACH * error, step), 0.5 / float(np.diff(middle).min()))
+    grid = np.arange(-reach, reach + FINE * step, FINE * step)
+    turned = np.exp(-2j * np.pi * np.outer(near + grid, middle - middle.mean()))
+
+    def together(some: NDArray[np.bool_]) -> Array:
+        return np.asarray((np.abs(turned[:, some] @ line[some]) ** 2).sum(axis=1))
+
+    power, fold = together(np.ones(rows.size, dtype=np.bool_)), blocks(rows.size)
+    if power.max() < IN_STEP * rows.size * (np.abs(line) ** 2).sum():
+        return near, error
+    off = peak(grid, power)
+    parts = [peak(grid, together(fold != k)) for k in np.unique(fold)]
+    return near + off, float(np.hypot(_left_out(parts), CLOCK * near))
 
 
 def peak(grid: Array, power: Array) -> float:
@@ -153,7 +187,7 @@ def peak(grid: Array, power: Array) -> float:
 
 def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
     """State the line at a frequency (its index) that some stretches show; None where it is not sure."""
-    frequency, error = _frequency(seen, rows, middle)
+    frequency, error = _in_step(seen, rows, *_frequency(seen, rows, middle))
     line = np.abs(_amplitudes(seen, rows, frequency)[:, 0]) ** 2
     noise = seen.to_amplitude[rows, None] ** 2 * _noise(seen, rows, middle)
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)

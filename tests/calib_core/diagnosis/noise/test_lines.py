@@ -199,6 +199,9 @@ def test_a_line_that_both_sensors_feel_is_the_forces_alone() -> None:
         for s in ("accel", "gyro")
     }
     assert by_sensor == {"accel": [17.3, 31.7], "gyro": [12.4, 40.1]}
+    remarks = {round(middle_hz(f), 1): f.remark for f in found if f.sensor == "accel"}
+    assert re.search(r"The gyroscope has it too, amplitude z 0\.00\d+ rad/s\.", remarks[31.7])
+    assert "gyroscope" not in remarks[17.3]
 
 
 def test_every_axis_that_has_the_line_is_told_however_weak_beside_the_others() -> None:
@@ -227,6 +230,12 @@ def test_a_strong_line_that_wanders_a_little_has_its_own_amplitude() -> None:
     wandering = np.sin(2.0 * np.pi * 17.3 * np.cumsum(1.0 + 3e-4 * wander) * 0.01)
     (found,) = tones(lying(0.5 * wandering), "accel")
     assert found.parameters["amplitude"].value[2] == pytest.approx(0.5, rel=0.05)  # type: ignore[index]
+
+
+def test_a_line_for_a_while_that_keeps_its_phase_has_the_frequency_that_this_tells() -> None:
+    """Single stretches of 20 s would tell it to 1e-4 Hz."""
+    (found,) = tones(lying(humming({17.30071: 0.02}) * (T > 150.0) * (T < 450.0)), "accel")
+    assert middle_hz(found) == pytest.approx(17.30071, abs=1e-5)
 
 
 def test_a_line_that_is_always_there_lasts_as_long_as_the_recording() -> None:
