@@ -282,7 +282,7 @@ class Diagnosis:
 
     @property
     def verdict(self) -> str:
-        """The verdict in a word; docs/diagnosis.md says what each means."""
+        """The verdict in a word; docs/comparison.md says what each means."""
         return str(self.answer["verdict"])
 
     @property

@@ -18,7 +18,7 @@ HEAD = """\
 
 Made from the effects' own classes by `python -m stillcal.replay.trials.pages.effects > docs/effects.md`; a
 test holds this page against them. What single samples and stamps show (limits, steps, jitter, ...) is in
-[diagnosis.md](diagnosis.md), section 8.
+[direct_checks.md](direct_checks.md).
 
 A parameter's *size* is the standard deviation of its prior: what physics makes of it at most. T is
 temperature, t the time since the recording began.
