@@ -57,6 +57,10 @@ class PoolSettings:
                 raise ValueError(f"{name} = {getattr(self, name)}: must be positive")
 
 
+MOST_SAMPLES = 32_768
+"""Samples of all rotation segments together, 1.2 MB of a saved state: eleven minutes of turns at 50 Hz."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldRest:
     """A rest with the gravity of the place where it was taken."""
@@ -79,7 +83,7 @@ class Pool:
 
     def with_segment(self, segment: RotationSegment, settings: PoolSettings) -> Pool:
         """Return the pool with one rotation segment more, without the oldest where there are too many."""
-        return replace(self, turns=(*self.turns, segment)[-settings.turns :])
+        return replace(self, turns=_bounded((*self.turns, segment)[-settings.turns :]))
 
     def since(self, t: float | None) -> Pool:
         """Return the pool of what was taken from t (s) on; the whole pool for None."""
@@ -107,6 +111,23 @@ class Pool:
     def attitudes(self, settings: PoolSettings) -> list[list[int]]:
         """Group the rests by attitude; indices point into `held`."""
         return group_attitudes(self.rests, settings.attitude_angle)
+
+
+def _bounded(turns: tuple[RotationSegment, ...]) -> tuple[RotationSegment, ...]:
+    """Return segments of MOST_SAMPLES at most: long ones are thinned first, then the oldest dropped."""
+    kept, refused = list(turns), set[int]()
+    excess = sum(segment.t.size for segment in kept) - MOST_SAMPLES
+    while excess > 0 and len(refused) < len(kept):
+        longest = max(set(range(len(kept))) - refused, key=lambda k: kept[k].t.size)
+        thinned = kept[longest].halved()
+        if thinned is None:
+            refused.add(longest)
+        else:
+            excess -= kept[longest].t.size - thinned.t.size
+            kept[longest] = thinned
+    while excess > 0:
+        excess -= kept.pop(0).t.size
+    return tuple(kept)
 
 
 Index = NDArray[np.intp]

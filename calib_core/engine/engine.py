@@ -75,7 +75,7 @@ class Engine:
     @property
     def state(self) -> EngineState:
         """The state to be saved; encode it before the next feed changes it."""
-        self._intake.join_tail()
+        self._intake.trim_tail()
         self._state.detector = self._detector.state
         return self._state
 

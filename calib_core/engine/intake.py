@@ -187,6 +187,23 @@ class Intake:
             self._state.gyro_tail = joined.between(float(joined.t[-1]) - self._reach_s, math.inf)
             self._after_tail = []
 
+    def trim_tail(self) -> None:
+        """Leave out of the tail what no segment can need, so that a saved state has no more than that.
+
+        A segment begins in the last rest. A rest that is not closed yet may have ended within _SLACK_S.
+        """
+        self.join_tail()
+        tail, last = self._state.gyro_tail, self._state.last_rest
+        if tail is None:
+            return
+        late = float(tail.t[-1]) - _SLACK_S
+        parts = [tail.between(late, math.inf)]
+        if last is not None:
+            begins = last.t_end - self._settings.turns.margin
+            ends = begins + self._settings.turns.max_duration + LONGEST_STEP_S
+            parts.insert(0, tail.between(begins, min(ends, late)))
+        self._state.gyro_tail = Samples.joined(parts)
+
     def drop_tail(self) -> None:
         """Forget the last rest and the gyroscope since, because the stream is interrupted."""
         self._state.last_rest = self._state.gyro_tail = None

@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stillcal.calib_core.calibration import rest_pool
 from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest, Pool, PoolSettings
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.static.rest import RestState
+from tests.support.turned_phones import recording
 
 
 def rest(direction: np.ndarray, t: float, uncertainty: float = 1e-3) -> HeldRest:
@@ -93,3 +95,18 @@ def test_senseless_bounds_are_refused() -> None:
         PoolSettings(attitude_angle=2.0)
     with pytest.raises(ValueError, match="turns = 0"):
         replace(PoolSettings(), turns=0)
+
+
+def test_turns_of_a_fast_sensor_stay_bounded_and_show_the_same_scale(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trip = recording(seed=3, n=20, rate_hz=400.0)
+    most = sum(turn.t.size for turn in trip.turns) // 3
+    monkeypatch.setattr(rest_pool, "MOST_SAMPLES", most)
+    pool = Pool()
+    for turn in trip.turns:
+        pool = pool.with_segment(turn, PoolSettings())
+    assert sum(turn.t.size for turn in pool.turns) <= most and len(pool.turns) == len(trip.turns)
+    whole, thinned = trip.fit(), replace(trip, turns=list(pool.turns)).fit()
+    assert (np.abs(thinned.model.scale - whole.model.scale) < whole.scale_uncertainty).all()
+    assert thinned.rms_after < 1.2 * whole.rms_after

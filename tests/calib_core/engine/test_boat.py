@@ -128,3 +128,11 @@ def test_a_scale_error_is_no_bias_that_grows_with_the_force(lean: float) -> None
     assert interval is not None and (interval[0] < 0.0).all() and (interval[1] > 0.0).all()
     if lean > 0.5:
         assert np.diag(record.accelerometer.scale) == pytest.approx(1 / 1.015, abs=2e-3)
+
+
+def test_of_a_long_rest_a_saved_state_has_only_the_samples_that_a_turn_may_need() -> None:
+    engine, t = calibrated(EngineSettings(ScheduleSettings(watch="continuous")))
+    for minute in range(12):
+        engine.feed(*lying(t + 60.0 * minute, FACES[0], 60.0))
+    tail = engine.state.gyro_tail
+    assert tail is not None and tail.t[-1] - tail.t[0] > 120.0 and len(tail) < 130.0 * RATE
