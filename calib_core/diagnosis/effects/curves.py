@@ -1,7 +1,8 @@
 """What structure outside the catalogue may follow: drivers of smooth curves, and dictionaries over time.
 
 They name no physics. Over time a smooth curve is noise, so there it is pulses, periods, sawteeth, what begins
-at a moment and what begins with each rest, tried in large numbers.
+at a moment and what begins with each rest, tried in large numbers. A Gaussian process over time scored 1 for
+a bias that snapped between two levels, where two levels score 18.
 """
 
 from __future__ import annotations

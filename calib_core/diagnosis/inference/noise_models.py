@@ -43,7 +43,11 @@ MIXTURES = (
     ("flicker", "gauss_markov_240", 0.5),
     ("flicker", "gauss_markov_960", 0.5),
 )
-"""Two kinds of wander, and the share of the first in their power."""
+"""Two kinds of wander, and the share of the first in their power.
+
+With one share of walk and flicker, and strengths half a decade apart, the true covariance was six nats
+behind, and a ramp with the wrong noise came before it.
+"""
 
 AVERAGED = 100.0
 """s: the averages by which strengths of wander are told to people; rests of some minutes show them."""

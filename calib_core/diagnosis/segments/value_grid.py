@@ -81,7 +81,9 @@ def _noise_beneath(mean: Array, variance: Array) -> float:
 
     With the mean at a part p between two codes, values on these alone have the variance p (1 - p), however
     little noise there is; what is more is of noise that reaches a third code. It is the median of bins,
-    weighed by this excess. None reached by any is no noise.
+    weighed by this excess. None reached by any is no noise. Variance less step^2 / 12 tells it of many rests
+    in many attitudes only: midway between two codes that is too large, and the error was taken for five times
+    smaller than it was.
     """
     place = mean - np.floor(mean)
     excess = variance - place * (1.0 - place)
