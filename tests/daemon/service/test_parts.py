@@ -267,6 +267,16 @@ def test_blocks_are_joined_up_to_the_next_event_the_gyroscopes_first():
     assert told == Temperature(0.2, 25.0) and last.t.tolist() == [0.3]
 
 
+def test_of_long_blocks_read_at_once_the_gyroscope_does_not_come_alone() -> None:
+    accel, gyro = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
+    records = [run_of(sensor, t, t + 9.9) for t in np.arange(0.0, 1200.0, 10.0) for sensor in (accel, gyro)]
+    heard = {accel: 0.0, gyro: 0.0}
+    for block in join_blocks(records):
+        assert isinstance(block, Samples)
+        heard[block.sensor] = block.t[-1]
+        assert heard[gyro] - heard[accel] < 80.0
+
+
 @pytest.mark.parametrize("later", [-0.5, 1.5, 1e6])
 def test_blocks_are_not_joined_where_time_does_not_go_on_or_columns_differ(later: float):
     """What a restart or a leap of the phone's clock does is judged by the first stamp of a block."""

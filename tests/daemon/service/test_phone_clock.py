@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.streams.events import Charging, Event, Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.phone_clock import GAP_S, GAPS_S, LEAP_S, PhoneClock
 
 A, G = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
@@ -145,3 +146,15 @@ def test_whatever_the_phone_does_each_stream_runs_forward(moves: list):
         assert isinstance(event, Charging) and math.isfinite(event.t)
     for times in streams.values():
         assert all(a <= b for a, b in itertools.pairwise(times))
+
+
+@pytest.mark.parametrize("jump", [-LEAP_S, 2 * LEAP_S])
+def test_a_jump_of_the_clock_among_blocks_read_at_once_is_one_jump(jump: float) -> None:
+    """The sensors' blocks take turns on the line, and the gyroscope's are handed on first."""
+    begin, clock = 10 * LEAP_S, PhoneClock()
+    stamps = [begin + k + jump * (k >= 5) for k in range(10)]
+    read = [block([t, t + 0.9], sensor) for t in stamps for sensor in (A, G)]
+    for record in join_blocks(read):
+        clock.mapped(record, 1000.0)
+    assert clock.restarts + clock.leaps == 1 and clock.disordered == 0
+    assert clock.newest - begin < 20.0
