@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments import orientation as poses
 from stillcal.calib_core.diagnosis.segments.overview import Overview
+from stillcal.calib_core.diagnosis.segments.slow_moves import without_slow_moves
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error
 from stillcal.calib_core.diagnosis.segments.windows import (
@@ -205,13 +206,18 @@ def rest_edges(
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
     still = _still(force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
-    runs = rest_runs(still)
+    runs = _rests(still, rate, SHORTEST_REST)
     first, last, rest = _bin_edges(runs, length)
     if first.size < FEW:
-        runs = rest_runs(still, BRIEFEST_REST)
+        runs = _rests(still, rate, BRIEFEST_REST)
         first, last, rest = _bin_edges(runs, length)
     kept = _longest(last - first)
     return RestEdges(still, runs, first[kept], last[kept], rest[kept])
+
+
+def _rests(still: NDArray[np.bool_], rate: Windows | None, shortest: int) -> list[tuple[int, int]]:
+    runs = rest_runs(still, shortest)
+    return runs if rate is None else without_slow_moves(runs, rate.mean, shortest)
 
 
 def _still(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
