@@ -44,11 +44,13 @@ class Turning:
 
     du = -k (theta x u) + (b x u) dt from a bin of time to the next, with u the mean direction of the force in
     a bin, theta the step of the mean integrated rate and b the bias, which is free. pairs: pairs of bins.
-    spread: sum of squares of theta with a steady rate taken out, rad^2. squares: (2, 2) rad^2.
+    spread: sum of squares of theta with a steady rate taken out, rad^2; change: that of its differences from
+    one pair to the next. squares: (2, 2) rad^2.
     """
 
     pairs: int
     spread: float
+    change: float
     squares: Array
 
     def misfit(self, k: float) -> float:
@@ -82,8 +84,9 @@ def _compared(dt: Array, theta: Array, turned: Array, middle: Array) -> Iterator
     left = _without(sides, biased)
     squares = np.swapaxes(left, 1, 2) @ left
     spread = np.sum(_without(theta, dt) ** 2, axis=(1, 2))
-    for one, square in zip(spread.tolist(), squares, strict=True):
-        yield Turning(pairs, one, square)
+    change = np.sum(np.diff(theta, axis=1) ** 2, axis=(1, 2))
+    for one, differences, square in zip(spread.tolist(), change.tolist(), squares, strict=True):
+        yield Turning(pairs, one, differences, square)
 
 
 def _without(values: Array, basis: Array) -> Array:

@@ -56,6 +56,10 @@ _TILT = 0.2
 """rad: how far biases and misalignment may tilt the force from gravity as the gyroscope's axes have it; a
 fast spin about the vertical then seems to turn gravity by this much of its angle."""
 
+_EXPLAINED = 2.0
+"""Rates in deg/s that turn the phone leave gravity's direction this many times less to turn, squared, than
+no rates at all. On a swing the force keeps along the ropes and turns by nothing; the phone turns smoothly."""
+
 _SLOWEST_STEP = 1.0
 """s: a longer median step is another unit of time; a sensor's of less than 1 kHz is longer in ms."""
 
@@ -158,10 +162,11 @@ def shown_unit(turning: Turning) -> str:
     "deg/s" where they were read as rad/s, "rad/s" where they were read as deg/s, else "as stated",
     "unclear", or "silent" where too little turns.
     """
-    as_stated, degrees, radians = (turning.misfit(k) for k in (1.0, DEGREE, 1 / DEGREE))
+    none, degrees, as_stated, radians = (turning.misfit(k) for k in (0.0, DEGREE, 1.0, 1 / DEGREE))
     least = turning.pairs * _LEAST_TURNING**2
     if as_stated > max(_CLEARLY * degrees, least, _TILT**2 * turning.spread):
-        return "deg/s"
+        swings = none < _EXPLAINED * degrees and turning.change < turning.spread  # noise: twice the spread
+        return "unclear" if swings else "deg/s"
     if as_stated > max(_CLEARLY * radians, least):
         return "rad/s"
     if degrees > max(_CLEARLY * as_stated, least):

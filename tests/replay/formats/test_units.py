@@ -138,6 +138,13 @@ def test_a_turntable_about_the_vertical_raises_no_alarm(tmp_path: Path) -> None:
     assert taken_as_given(tmp_path / "r.csv", rows)
 
 
+def test_a_swing_whose_force_keeps_along_its_ropes_raises_no_alarm(tmp_path: Path) -> None:
+    """A hammock or a swing turns the phone to and fro, and its acceleration hides that from the force."""
+    rows = phone("still", 6000)
+    rows[500:, 4] += 0.3 * np.sin(2 * np.pi * rows[500:, 0] / 3.0)
+    assert taken_as_given(tmp_path / "r.csv", rows)
+
+
 @pytest.mark.parametrize("scene", ["still", "walking"])
 def test_an_accelerometer_without_gravity_is_refused_wherever_it_rests(tmp_path: Path, scene: str) -> None:
     """It rests in one attitude at (0, 0, 0), or is first shaken for longer than the opening."""
