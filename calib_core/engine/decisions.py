@@ -53,7 +53,7 @@ from stillcal.calib_core.engine.schedule import (
     calibration_due,
     wandered_by,
 )
-from stillcal.calib_core.engine.sensor_faults import LEAST_S, is_deaf, sensor_faults, told
+from stillcal.calib_core.engine.sensor_faults import is_deaf, sensor_faults, shows_enough, told
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.engine.state import EngineState, Refusal, Trouble
 from stillcal.calib_core.errors import NotSupported
@@ -287,7 +287,7 @@ class CalibrationPolicy:
             state.faults[Sensor.GYROSCOPE] = state.rates_doubted
         if is_deaf(state.inspected, ledger):
             self._detector.learn_gyroscope_anew()
-        if ledger.accel_on_s - state.inspected.accel_on_s >= LEAST_S:
+        if shows_enough(state.inspected, ledger):
             state.inspected = ledger
         self._actions += told(t, before, state.faults)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -15,21 +16,23 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Label, Ledger
 from stillcal.calib_core.streams.samples import Sensor
 
-LEAST_S = 60.0
+_LEAST_S = 60.0
 """s of windows that must have been looked at for anything to be said of a sensor."""
+
+_LEAST_PROBES = 20
+"""Probes, minutes apart, that do as well: one that meets a fault ends with its first window."""
 
 _SHARE = 0.5
 """Share of the windows that must have the same fault."""
 
 _ONE_VALUE = "it shows one value again and again"
 _MOVES_ALONE = "it shows motion while the accelerometer lies still: check its unit, its range and its noise"
+_ALONE_SHARE = 2.0 / 3.0
+"""Share of the windows in which the gyroscope must move alone; in a calm hand it does in nearly half."""
+
 _OF_WINDOWS = {
-    Label.FROZEN: (Sensor.ACCELEROMETER, _ONE_VALUE),
-    Label.IMPLAUSIBLE: (
-        Sensor.ACCELEROMETER,
-        "its readings at rest are not of gravity's size: check its unit and its range",
-    ),
-    Label.GYRO_MOVING: (Sensor.GYROSCOPE, _MOVES_ALONE),
+    Label.FROZEN: _ONE_VALUE,
+    Label.IMPLAUSIBLE: "its readings at rest are not of gravity's size: check its unit and its range",
 }
 NO_SAMPLES = "it sends no samples, although the other sensor does"
 NONE_OF_USE = "it sends no samples, too few of them, or one value again and again"
@@ -63,11 +66,19 @@ def sensor_faults(
     """
     if silent:
         return {**before, Sensor.ACCELEROMETER: NO_SAMPLES}
-    if now.accel_on_s - then.accel_on_s < LEAST_S:
+    if not shows_enough(then, now):
         return dict(before)
-    found = {sensor: words for label, (sensor, words) in _OF_WINDOWS.items() if _most(label, then, now)}
+    counts = _counts(then, now)
+    found = {}
+    for label, words in _OF_WINDOWS.items():
+        if counts[label] > _SHARE * counts.total():
+            found[Sensor.ACCELEROMETER] = words
     if has_gyroscope and now.gyro_on_s == then.gyro_on_s:
         found[Sensor.GYROSCOPE] = NONE_OF_USE
+    elif counts[Label.GYRO_MOVING] > _ALONE_SHARE * counts.total() or (
+        before.get(Sensor.GYROSCOPE) == _MOVES_ALONE and counts[Label.STILL] <= counts[Label.GYRO_MOVING]
+    ):
+        found[Sensor.GYROSCOPE] = _MOVES_ALONE
     return found
 
 
@@ -76,13 +87,18 @@ def is_deaf(then: Ledger, now: Ledger) -> bool:
 
     Then its noise floor may be one that it never comes down to again.
     """
-    return now.accel_on_s - then.accel_on_s >= LEAST_S and _most(Label.GYRO_MOVING, then, now)
+    counts = _counts(then, now)
+    return shows_enough(then, now) and counts[Label.GYRO_MOVING] > _SHARE * counts.total()
 
 
-def _most(label: Label, then: Ledger, now: Ledger) -> bool:
-    """Tell whether most windows looked at between two moments have a label."""
-    counts = {each: n - then.windows.get(each, 0) for each, n in now.windows.items()}
-    return counts.get(label, 0) > _SHARE * sum(counts.values())
+def shows_enough(then: Ledger, now: Ledger) -> bool:
+    """Tell whether enough was looked at between two moments for anything to be said of a sensor."""
+    return now.accel_on_s - then.accel_on_s >= _LEAST_S or now.probes - then.probes >= _LEAST_PROBES
+
+
+def _counts(then: Ledger, now: Ledger) -> Counter[Label]:
+    """Return how many windows had each label between two moments."""
+    return Counter(now.windows) - Counter(then.windows)
 
 
 def told(t: float, before: Mapping[Sensor, str], now: Mapping[Sensor, str]) -> list[Log]:

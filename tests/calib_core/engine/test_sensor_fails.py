@@ -12,7 +12,9 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.engine.actions import Log
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.intake import ACCEL_PATIENCE_S
+from stillcal.calib_core.engine.sensor_faults import sensor_faults
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.static.settings import Label, Ledger
 from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.engine.test_boat import FACES, RATE_BIAS, calibrated, lying
@@ -138,3 +140,11 @@ def test_rates_that_are_no_bias_are_told_at_the_next_rests_and_not_learnt_from(c
     assert words in fails.why and t + 300.0 < fails.t < t + 480.0
     assert "works again" in works.why and t + 1200.0 < works.t < t + 1400.0 and not engine.state.faults
     assert engine.state.record.gyroscope.bias == pytest.approx(RATE_BIAS, abs=3e-4)
+
+
+def test_an_hour_of_probes_that_end_with_their_first_window_is_enough_to_tell() -> None:
+    hour = Ledger(accel_on_s=11.0, gyro_on_s=11.0, probes=22, windows={Label.GYRO_MOVING: 19, Label.STILL: 3})
+    (fault,) = sensor_faults(Ledger(), hour, True, False, {}).values()
+    assert "motion while the accelerometer lies still" in fault
+    few = replace(hour, probes=5, accel_on_s=2.5)
+    assert not sensor_faults(Ledger(), few, True, False, {})
