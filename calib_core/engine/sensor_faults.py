@@ -47,6 +47,9 @@ _LEAST_FACTOR = 1.5
 _LEAST_BIAS = 10.0
 """Standard uncertainties: only a bias that is as large shows a factor."""
 
+_FAR = 4.0 * math.sqrt(12.0)
+"""Uncertainties of a rest on one code, four steps of the quantiser: a bias drifts by less between rests."""
+
 _HOLDS = 1e-9
 """rad/s: an axis whose samples scatter by less than this shows one value."""
 
@@ -120,7 +123,7 @@ def rate_fault(
     missed: by how much they miss what is stated of the bias, None where nothing is. earlier: rests before it.
     significance: standard uncertainties.
     """
-    if rest.rate is None or rest.rate_sd is None:
+    if rest.rate is None or rest.rate_sd is None or rest.rate_uncertainty is None:
         return ""
     if np.abs(rest.rate).max() > MOST_BIAS:
         return _TOO_LARGE
@@ -128,7 +131,7 @@ def rate_fault(
         return ""
     noise = np.array([r.rate_sd for r in earlier if r.rate_sd is not None]).reshape(-1, 3)
     lively = np.mean(noise > _HOLDS, axis=0) > _SHARE if len(noise) else np.zeros(3, dtype=bool)
-    far = np.abs(missed.missed) > significance * missed.sd
+    far = np.abs(missed.missed) > np.maximum(significance * missed.sd, _FAR * rest.rate_uncertainty)
     if (far & lively & (rest.rate_sd < _HOLDS)).any():
         return f"an axis of it sticks: {_ONE_VALUE}"
     factor = _factor(rest.rate, missed, significance)

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.calibration.suspicion import Innovation
 from stillcal.calib_core.engine.actions import Log
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.intake import ACCEL_PATIENCE_S
-from stillcal.calib_core.engine.sensor_faults import sensor_faults
+from stillcal.calib_core.engine.sensor_faults import rate_fault, sensor_faults
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
+from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.static.settings import Label, Ledger
 from stillcal.calib_core.streams.events import Tick
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -148,3 +151,16 @@ def test_an_hour_of_probes_that_end_with_their_first_window_is_enough_to_tell() 
     assert "motion while the accelerometer lies still" in fault
     few = replace(hour, probes=5, accel_on_s=2.5)
     assert not sensor_faults(Ledger(), few, True, False, {})
+
+
+@pytest.mark.parametrize(("codes", "sticks"), [(2, False), (40, True)])
+def test_an_axis_that_comes_to_lie_on_one_code_nearby_does_not_stick(codes: int, sticks: bool) -> None:
+    """The bias of a coarse sensor with little noise drifts from between two codes onto one."""
+    sd, step = np.full(3, 4e-4), 0.001
+    lively = RestState(0.0, 60.0, 3000, np.array([0.0, 0.0, 9.8]), sd, sd, 1e-3, RATE_BIAS, sd, sd)
+    missed = np.array([0.0, 0.0, codes * step])
+    rest = msgspec.structs.replace(
+        lively, rate=RATE_BIAS + missed, rate_sd=sd * [1, 1, 0], rate_uncertainty=np.full(3, step / 12**0.5)
+    )
+    fault = rate_fault(rest, Innovation(missed, np.full(3, 3e-4), np.eye(3)), [lively] * 5, 3.0)
+    assert ("sticks" in fault) == sticks
