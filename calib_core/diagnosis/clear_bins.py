@@ -11,6 +11,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.direct.axis_exchange import outside
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.segments.leaning import without_leaning
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady, without_lines
@@ -30,7 +31,7 @@ def still_bins(
 ) -> Bins:
     """Return the bins in which the phone lay still, a vehicle's turns left out; overview: as in `cut`."""
     bins = cut(accelerometer, gyroscope, events, overview=overview)
-    return steady(bins, without_lines(accelerometer, bins))
+    return without_leaning(steady(bins, without_lines(accelerometer, bins)))
 
 
 def outside_of(bins: Bins, found: Sequence[Finding]) -> Bins:

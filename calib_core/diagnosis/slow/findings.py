@@ -47,6 +47,10 @@ GRID_STRIDE = 3
 ACROSS = float(np.log(100.0))
 """Gain, nats, that two sizes across gravity have by chance one time in a hundred (chi-squared of two)."""
 
+TURNING = 0.1
+"""Variance across gravity, by direction, over that along it, below which what is left of a gyroscope's rates
+may be turns of the support. A bias that wanders or jumps does so on each axis."""
+
 ALTERNATIVES = 3
 """How many other effects are reported beside a finding."""
 
@@ -86,7 +90,9 @@ def slow_statements(residuals: SensorResiduals, without: Collection[str] = ()) -
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
         found, left = _jumps(residuals, steps)
     stated = statements_of(residuals, steps)
-    if found:
+    if _along_gravity(residuals, [h for step in adequate(steps) for h in step.explained]):
+        beside = []
+    elif found:
         beside = [jumps.finding(residuals, found)]
     else:
         withdrawn = steps and not stated
@@ -98,6 +104,16 @@ def slow_statements(residuals: SensorResiduals, without: Collection[str] = ()) -
         *stated,
         *(Stated(replace(f, effect="unknown") if f.effect in without else f) for f in beside),
     ]
+
+
+def _along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> bool:
+    """Whether what is left of a gyroscope's rates is along gravity alone, as where the support turns."""
+    if residuals.sensor != "gyro" or residuals.turns or residuals.up is None:
+        return False
+    left = [v.left(*(h.columns[i][0] for h in explained)) for i, v in enumerate(residuals.views)]
+    rates = np.stack(left, axis=1)
+    along = float(((rates * residuals.up).sum(axis=1) ** 2).sum())
+    return float((rates**2).sum()) - along < 2.0 * TURNING * along
 
 
 def not_unknown_twice(stated: Sequence[Stated], wandering: Sequence[Finding]) -> list[Finding]:

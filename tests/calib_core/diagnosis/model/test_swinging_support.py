@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.model.rates import tilt_rate
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.turning_support import turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.findings import _turns, slow_findings
+from stillcal.calib_core.diagnosis.slow.findings import _along_gravity, _turns, slow_findings
 from stillcal.calib_core.maths.rms import rms
 from tests.calib_core.diagnosis.slow.test_between_rest_variance import by_rest, short_rests
 from tests.support.diagnosis import nulls
@@ -73,6 +73,17 @@ def test_in_one_rest_what_is_along_gravity_alone_may_be_a_turn() -> None:
         columns = residuals.columns_of(inside[:, None, None] * np.eye(3))
         curve = UnknownCurve("gyro", "a stretch of time", lambda _: None)
         assert _turns(residuals, Hypothesis(curve, {}, columns), []) == turns
+
+
+def test_rates_that_differ_from_rest_to_rest_along_gravity_alone_are_turns_of_the_support() -> None:
+    """A train in its bends, the phone flat on the table and then against the window."""
+    rng, day = in_ten_attitudes(2)
+    up = np.where(day.rest[:, None] < 15, np.array([0.0, 0.0, 1.0]), np.array([0.6, 0.0, 0.8]))
+    day = replace(day, up=up)
+    rate = rng.normal(0.0, 5e-3, 30)[day.rest, None]
+    for direction, turns in ((day.up, True), (np.array([0.5, -0.6, 0.6]), False)):
+        bins = nulls.bins_of(rng, day, "white", gyro_error=rate * direction)
+        assert _along_gravity(by_sensor(bins, nulls.G)[1], []) == turns
 
 
 def test_a_turn_about_gravity_is_told_from_a_bias_that_is_another_in_every_rest() -> None:

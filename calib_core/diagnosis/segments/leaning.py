@@ -1,0 +1,44 @@
+"""Slow accelerations of what carries the phone: a train that brakes, a car in a bend.
+
+The force leans without the phone turning, and is longer than gravity by the square of the lean over two. A
+bias across gravity does the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+
+FEWEST = 3
+"""Bins of a rest whose median direction is gravity's own."""
+
+
+def without_leaning(bins: Bins) -> Bins:
+    """Return bins whose force is as long as gravity where it leans. Without a gyroscope a lean is a tilt."""
+    if bins.rate is None or not len(bins):
+        return bins
+    size = np.linalg.norm(bins.force, axis=1, keepdims=True)
+    square = _leaning(bins, bins.force / np.maximum(size, 1e-9), bins.rate)
+    return replace(bins, force=bins.force / np.sqrt(1.0 + square)[:, None])
+
+
+def _leaning(bins: Bins, up: Array, rate: Array) -> Array:
+    """Return the square (n,) of the tangent by which the force leans in its rest, no turn confirming it.
+
+    up: (n, 3) directions of force. Of the rate at which these lean in a rest, the gyroscope's own rate has a
+    share (least squares): so much of it is a tilt of the phone.
+    """
+    out = np.zeros(len(bins))
+    for r in np.flatnonzero(np.bincount(bins.rest) >= FEWEST):
+        rows = np.flatnonzero(bins.rest == r)
+        middle = np.median(up[rows], axis=0)
+        cosine = up[rows] @ (middle / np.linalg.norm(middle))
+        leaning = np.cross(np.gradient(up[rows], bins.t[rows], axis=0), up[rows])
+        seen = rate[rows] - rate[rows].mean(axis=0)
+        tilt = float((leaning * seen).sum()) / max(float((leaning**2).sum()), 1e-300)
+        out[rows] = (1.0 / cosine**2 - 1.0) * (1.0 - np.clip(tilt, 0.0, 1.0))
+    return out

@@ -1,0 +1,35 @@
+"""What leans the force without a turn makes it longer; what the gyroscope confirms is a tilt and does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.segments.leaning import without_leaning
+from tests.support.diagnosis import nulls
+
+
+def leaning() -> tuple[nulls.Day, np.ndarray]:
+    """Return half an hour whose force leans by up to 0.05 rad, and the rates (n, 3) of such a tilt."""
+    t = np.arange(1800.0)
+    angle = 0.05 * np.clip(np.sin(2.0 * np.pi * t / 360.0), 0.0, None) ** 2
+    up = np.stack([np.sin(angle), np.zeros_like(t), np.cos(angle)], axis=1)
+    turn = np.cross(np.gradient(up, axis=0), up)
+    return nulls.Day(t, np.zeros(t.size, dtype=np.int64), up, 25.0 + 0.0 * t, 0.0 * t), turn
+
+
+@pytest.mark.parametrize("tilts", [True, False])
+def test_a_train_that_brakes_makes_the_force_longer_and_a_tilt_does_not(tilts: bool) -> None:
+    """A train pushes sideways by the tangent of the lean, so that the force across is added to gravity."""
+    (day, turn), rng = leaning(), np.random.default_rng(1)
+    bins = nulls.bins_of(rng, day, "white", gyro_error=turn if tilts else None)
+    sideways = np.tan(np.interp(bins.t, day.t, np.arcsin(day.up[:, 0])))
+    force = nulls.G * np.stack([sideways, 0.0 * sideways, 1.0 + 0.0 * sideways], axis=1)
+    if tilts:
+        force /= np.sqrt(1.0 + sideways**2)[:, None]
+    bins = replace(bins, force=force + rng.normal(0.0, 1e-4, force.shape))
+    length = np.linalg.norm(without_leaning(bins).force, axis=1)
+    assert np.ptp(np.linalg.norm(force, axis=1)) > 0.01 or tilts
+    assert length == pytest.approx(nulls.G, abs=1.5e-3)
