@@ -235,4 +235,4 @@ def located(t: Array, hits: Array, where: Where) -> tuple[Where, str]:
     start, end = (float(t[k]) for k in bulk(hits))
     if end - start > LASTING * (where.t_end - where.t_start):
         return where, ""
-    return replace(where, t_start=start, t_end=end), f", nearly all from {start:.0f} to {end:.0f} s"
+    return replace(where, t_start=start, t_end=end), f", nearly all from {start:z.0f} to {end:z.0f} s"

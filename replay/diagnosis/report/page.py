@@ -207,7 +207,7 @@ def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
     relation = (OF_EITHER if either else RELATIONS[finding["relation"]]).format(simulation)
     text = (
         f"Probability {finding['probability']:.2f} that {relation}. Seen from"
-        f" {where['t_start'] - start:.0f} to {where['t_end'] - start:.0f} s"
+        f" {where['t_start'] - start:z.0f} to {where['t_end'] - start:z.0f} s"
     )
     text += "." if where["driver"] == "nothing" else f", following {where['driver']}."
     if "heldout_log_score_gain" in evidence:

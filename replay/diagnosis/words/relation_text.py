@@ -186,7 +186,7 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
     if finding["effect"] != "axis_exchange":
         return ""
     start, end = finding["where"]["t_start"], finding["where"]["t_end"]
-    shown = f" The turns between rests show it from {start:.0f} to {end:.0f} s"
+    shown = f" The turns between rests show it from {start:z.0f} to {end:z.0f} s"
     if told := finding.get("put_right"):
         return f"{shown}. {told}"
     return f"{shown}; they do not tell it from an exchange of the other sensor's axes."
@@ -199,7 +199,7 @@ def _when(finding: Mapping[str, Any]) -> str:
     fraction = finding[side_of(finding)].get("fraction", {"value": 1.0})["value"]
     if finding["effect"] != "vibration_tone" or float(np.max(fraction)) >= 1.0:
         return ""
-    return f" It lasts from {finding['where']['t_start']:.0f} to {finding['where']['t_end']:.0f} s."
+    return f" It lasts from {finding['where']['t_start']:z.0f} to {finding['where']['t_end']:z.0f} s."
 
 
 def side_of(finding: Mapping[str, Any]) -> str:
