@@ -7,8 +7,7 @@ and it takes all of them to fall together by chance. At rest every order is alik
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -43,6 +42,8 @@ NEARBY = 33
 MOST_ENDS = 400
 """Ends that are tried, the clearest, and ten times as many that may be."""
 
+
+Rows = NDArray[np.int64]
 
 Place = tuple[int, int, int]
 """First row, rows, and how many of these are the first of two exchanged stretches; 0: they run backwards."""
@@ -109,12 +110,12 @@ def _unit(left: Array) -> Array:
     return np.array([spread(axis[:, None])[0] if axis.size else LEAST_SPREAD for axis in moving])
 
 
-def _nats(before: Array, after: Array, axes: int, changed: int, tries: float) -> Array:
+def _nats(before: Array, after: Array, axes: int, changed: int | Array, tries: float) -> Array:
     """Return nats for an order by the power before and after of the residuals that it changes.
 
     changed: how many, on each axis. All axes count as one: what moves a phone may go along one line.
     """
-    noise = float(axes * changed)
+    noise = axes * changed
     ratio = (before + noise) / (np.maximum(after, 0.0) + noise)
     return np.asarray(0.5 * changed * np.log(ratio) - np.log(tries))
 
@@ -158,6 +159,7 @@ def _batches(moved: Array, ends: Array, tries: float) -> list[Misplaced]:
     those about one batch: noise has no more reason to fall with many.
     """
     found, borders = [], np.unique(np.concatenate([ends, ends + 1]))
+    power = (residual(moved) ** 2).sum(axis=1)
     for length in range(3, LONGEST + 1):
         changed = len(_across([0, length]))
         for first, count in _runs(borders, length):
@@ -169,8 +171,9 @@ def _batches(moved: Array, ends: Array, tries: float) -> list[Misplaced]:
             other = part.copy()
             other[2 * REACH : -2 * REACH] = batches[:, ::-1].reshape(count * length, -1)
             across = _across([k * length for k in range(count + 1)])
-            power = [changed * (residual(x)[across] ** 2).sum(axis=1).mean() for x in (part, other)]
-            nats = float(_nats(power[0], power[1], moved.shape[1], changed, tries))
+            before = changed * power[rows.start + across].mean()
+            after = changed * (residual(other)[across] ** 2).sum(axis=1).mean()
+            nats = float(_nats(before, after, moved.shape[1], changed, tries))
             if nats > 0.0:
                 found.append(Misplaced(first, first + count * length, nats, count))
     return found
@@ -202,37 +205,47 @@ def _exchanged_stretches(ends: Array) -> Iterator[Place]:
 
 def _better(moved: Array, places: Iterable[Place], tries: float) -> list[Misplaced]:
     """Return the places whose samples are better put back; tries: how many places may be proposed."""
-    alike = defaultdict(list)
-    for first, length, half in places:
-        if 2 * REACH <= first <= len(moved) - length - 2 * REACH:
-            alike[length, half].append(first)
-    found = []
-    for (length, half), rows in alike.items():
-        firsts = np.array(rows)
-        nats = _tried(moved, firsts, length, half, tries)
-        found += [
-            Misplaced(int(i), int(i) + length, float(x)) for i, x in zip(firsts, nats, strict=True) if x > 0.0
-        ]
-    return found
+    rows = np.array(list(places), dtype=np.int64).reshape(-1, 3)
+    rows = rows[(rows[:, 0] >= 2 * REACH) & (rows[:, 0] <= len(moved) - rows[:, 1] - 2 * REACH)]
+    nats = _tried(moved, rows, tries)
+    return [
+        Misplaced(int(i), int(i + n), float(x)) for (i, n, _), x in zip(rows, nats, strict=True) if x > 0.0
+    ]
 
 
-def _tried(moved: Array, firsts: NDArray[np.int64], length: int, half: int, tries: float) -> Array:
-    """Return nats (m,) for places of one length from rows `firsts` (m,) on being put back.
+def _tried(moved: Array, places: Rows, tries: float) -> Array:
+    """Return nats (m,) for places (m, 3) on being put back, all of them at once.
 
-    half: samples of the first of two stretches that are exchanged, 0 where the place runs backwards. Power is
-    compared where residuals span an end of a stretch.
+    Power is compared where residuals span an end of a stretch.
     """
-    rows = np.arange(length)
-    pieces = [rows[half:], rows[:half]] if half else [rows[::-1]]
-    around = np.arange(-2 * REACH, length + 2 * REACH)
-    part = moved[around[:, None] + firsts]
-    other = part.copy()
-    other[2 * REACH : -2 * REACH] = part[2 * REACH : -2 * REACH][np.concatenate(pieces)]
-    ends_before = _across([0, half, length])
-    ends_after = _across([0, length - half, length])
-    before, after = residual(part)[ends_before], residual(other)[ends_after]
-    power_before, power_after = ((left**2).sum(axis=(0, 2)) for left in (before, after))
-    return _nats(power_before, power_after, moved.shape[1], len(before), tries)
+    first, length, half = places.T
+
+    def put_back(row: Rows) -> Array:
+        before = row - 2 * REACH
+        values = [w * moved[first + _source(before + i, length, half)] for i, w in enumerate(WEIGHTS)]
+        return np.asarray((np.sum(values, axis=0) ** 2).sum(axis=1))
+
+    power, start = (residual(moved) ** 2).sum(axis=1), np.zeros_like(first)
+    before, changed = _summed([start, half, length], lambda row: power[first + row - 2 * REACH])
+    after, _ = _summed([start, length - half, length], put_back)
+    return _nats(before, after, moved.shape[1], changed, tries)
+
+
+def _source(row: Rows, length: Rows, half: Rows) -> Rows:
+    """Return where the sample is that belongs in a row, both counted from the first of its place."""
+    within = np.where(half > 0, (row + half) % length, length - 1 - row)
+    return np.where((row >= 0) & (row < length), within, row)
+
+
+def _summed(ends: Sequence[Rows], power_of: Callable[[Rows], Array]) -> tuple[Array, Array]:
+    """Return the power (m,) of the residuals that span one of the ends (m,) of stretches, and their number.
+
+    power_of: the power (m,) of one residual of each place.
+    """
+    rows = np.sort(np.concatenate([np.add.outer(end, np.arange(ACROSS)) for end in ends], axis=1), axis=1)
+    once = np.diff(rows, axis=1, prepend=-1) > 0  # some span two ends
+    power = [own * power_of(row) for own, row in zip(once.T, rows.T, strict=True)]
+    return np.sum(power, axis=0), once.sum(axis=1)
 
 
 def _across(ends: list[int]) -> NDArray[np.int64]:
