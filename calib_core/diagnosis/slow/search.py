@@ -108,7 +108,8 @@ def compete(
         for index, h in enumerate(some):
             known = best.get(id(h.effect))
             _, least, _ = leading.get(id(h.effect), (0, known.score if known else -np.inf, None))
-            own, top = _judged(reduced, index, null, h.multiplicity or grids[id(h.effect)])
+            beat = max(thresholds.WORTH_FITTING, least + h.effect.prior_penalty)
+            own, top = _judged(reduced, index, null, h.multiplicity or grids[id(h.effect)], beat)
             if own - h.effect.prior_penalty > least:
                 leading[id(h.effect)] = index, own - h.effect.prior_penalty, top
         for effect, (index, value, top) in leading.items():
@@ -125,9 +126,9 @@ def _batches(hypotheses: Sequence[Hypothesis]) -> Iterator[Sequence[Hypothesis]]
 
 
 def _judged(
-    reduced: Sequence[Reduced], index: int, null: float, trials: float
+    reduced: Sequence[Reduced], index: int, null: float, trials: float, beat: float
 ) -> tuple[float, Maximum | None]:
-    """Score a hypothesis on all axes and on each alone, and keep the better: minus infinity if hopeless.
+    """Score a hypothesis on all axes and on each alone, and keep the better: minus infinity if below `beat`.
 
     Set 4 `index` of the reduced residuals is the whole hypothesis, the next three are its axes. All axes cost
     a factor of two in trials, one axis one of six. No axis gains more than all of them. The second is the
@@ -138,13 +139,13 @@ def _judged(
     if not freedom:
         return best, None
     most = gain_bound(reduced, whole) - null
-    if score(most, 1, freedom, trials * 2) < thresholds.WORTH_FITTING:
+    if score(most, 1, freedom, trials * 2) < beat:
         return best, None
     for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
         rank, dof = visible(reduced, part), degrees(reduced, part)
         if rank == 0:
             continue
-        least = max(best, thresholds.WORTH_FITTING)
+        least = max(best, beat)
         bound = most if part == whole else gain_bound(reduced, part) - null
         if score(bound, rank, dof, trials * cost) < least:
             continue
