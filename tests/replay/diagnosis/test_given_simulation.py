@@ -144,7 +144,7 @@ def test_a_bias_that_differs_for_another_reason_is_stated_at_the_recordings_mean
 @pytest.mark.slow
 def test_a_step_that_the_recording_alone_has_makes_no_bias_besides() -> None:
     """The levels before and after it were averaged, and the mean was another bias than the simulation has."""
-    steady, simulation = real(0.0, PART_S), simulated(0.0, PART_S)
+    steady, simulation = real(0.0), simulated(0.0)
     still = steady.accelerometer
     force = np.array(still.xyz)
     force[still.t > 500.0, 2] += 334 * STANDARD / 8192.0  # 0.4 m/s^2, in whole steps of the values
@@ -425,7 +425,7 @@ def test_the_command_judges_and_fails_where_it_is_asked_to(written: Any, tmp_pat
     assert "sim.csv lacks the change of the accelerometer's bias with temperature" in done.output
     said = json.loads(out.read_text())
     assert (said["schema"], said["recording"], said["simulation"]) == (2, "real.csv", "sim.csv")
-    told = answer(real(), simulated(0.0))["findings"]
+    told = compared(real(), simulated(0.0))["findings"]
     assert [f["statement"] for f in said["findings"]] == [f["statement"] for f in told]
 
 

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.direct import jitter_and_bursts
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.replay.diagnosis.built_in import judge_built_in
-from stillcal.replay.diagnosis.given_simulation import judge_examined
+from stillcal.replay.diagnosis.given_simulation import answered
 from stillcal.replay.diagnosis.judged import examined, named
 from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
@@ -42,13 +43,13 @@ def test_a_recording_with_the_written_phone_is_accepted_and_one_without_its_term
     better = load_phone(tmp_path / "better.toml")
     with_it = recorded(better, 17, claims=better)
     without = recorded(msgspec.structs.replace(better, effects=()), 17, claims=better)
-    real, *played = (
-        replace(r, name="sim.csv", gyroscope=None) for r in (case.recording, with_it, without)
+    exam, *played = (
+        examined(replace(r, name="sim.csv", gyroscope=None)) for r in (case.recording, with_it, without)
     )  # what is written is the accelerometer's
-    exam = examined(real)
-    answers = [judge_examined(real, exam, r, examined(r)).answer for r in played]
-    assert answers[0]["verdict"] == "match", answers[0]["findings"]
-    assert [(f["effect"], f["relation"]) for f in answers[1]["findings"]] == [(THERMAL["name"], "lacking")]
+    names = ("real.csv", "sim.csv")
+    right, wrong = (answered(compare(exam, one, names), None, exam, one, names) for one in played)
+    assert right["verdict"] == "match", right["findings"]
+    assert [(f["effect"], f["relation"]) for f in wrong["findings"]] == [(THERMAL["name"], "lacking")]
 
 
 def test_the_baseline_is_that_of_the_phone(case_with: Callable[..., Case]) -> None:
