@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.resample import read_at, temperature_at
 from stillcal.calib_core.streams.samples import Samples
@@ -48,6 +49,9 @@ from stillcal.replay.formats.trace import Recording
 
 SAME_STAMP = 0.1
 """Part of the sample period by which two stamps of one moment may differ: rounding, and no more."""
+
+NYQUIST = 0.49
+"""Part of the sample rate above which no filter has a cutoff."""
 
 SHIFTED = 0.02
 """s by which both sensors may be late alike: the narrowest filter of a phone's sensor delays by 19 ms
@@ -120,9 +124,22 @@ def _alike(
     filters = [d.difference for d in values.discrepancies if d.difference and d.effect == LOW_PASS]
     own = _filtered(_limited(recording, limits), [d.simulated for d in filters])
     other = _filtered(_limited(simulation, limits), [d.recorded for d in filters])
-    cutoffs = [float(np.exp(q.value[0])) for d in filters for q in (d.recorded, d.simulated) if not q.none]
-    longest = max((1.0 / (2.0 * np.pi * cutoff) for cutoff in cutoffs), default=0.0)
-    return own, other, UNSURE * longest
+    low_passes = [q for d in filters for q in (d.recorded, d.simulated) if not q.none]
+    rate = 1.0 / sample_period(recording.accelerometer.t)
+    return own, other, max((unsure_delay(one, rate) for one in low_passes), default=0.0)
+
+
+def unsure_delay(low_pass: Quantity, rate: float) -> float:
+    """Return the standard error, s, of what a low-pass delays, played at a rate, Hz.
+
+    A digital filter near half the rate delays by less than the analogue one of its cutoff, and the recording
+    may be behind either.
+    """
+    cutoff, order = float(np.exp(low_pass.value[0])), int(low_pass.reference["order"])
+    analogue = 1.0 / (2.0 * np.pi * cutoff)
+    digital = 1.0 / (2.0 * rate * np.tan(np.pi * min(cutoff / rate, NYQUIST)))
+    apart = (analogue - digital) / np.sin(np.pi / (2 * order))
+    return float(np.hypot(UNSURE * analogue, apart / np.sqrt(2.0)))
 
 
 def _filtered(recording: Recording, low_passes: Sequence[Quantity]) -> Recording:

@@ -67,6 +67,7 @@ def _only_sought(found: Comparison, motion: Alignment | None, *, gyroscope: bool
         every = [*of_turns, *MOTION]
         reasons = {key: why for key, why in known.items() if key not in every}
         missing = {key: known.get(key, still) for key in every if key not in motion.sought}
+        missing |= motion.hidden
         count += len(MOTION) - len(reasons | missing)
         reasons |= missing
     return replace(

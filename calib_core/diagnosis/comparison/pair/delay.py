@@ -176,6 +176,20 @@ def delay_between(force: Late, rate: Late, unsure: float = 0.0) -> Measured:
     return Measured(rate.delay.value - force.delay.value, error)
 
 
+def hidden_delay(delay: Measured, unsure: float) -> str | None:
+    """Say which delay motion shows that may be the low-passes'; None where it shows none.
+
+    unsure: s, the standard error of what these delay, 0 without any.
+    """
+    if not unsure or abs(delay.value) < SURE * delay.error:
+        return None
+    side = "behind" if delay.value > 0 else "ahead of"
+    return (
+        f"the gyroscope is {abs(delay.value) * 1e3:.1f} ms further {side} the accelerometer, but what the"
+        f" low-passes delay is known to {2e3 * unsure:.1f} ms only"
+    )
+
+
 def found_delays(delay: Measured, force: Late, rate: Late, samples: Samples) -> list[Finding]:
     """Return a delay between the sensors that the other does not have. samples: whose span and rate it is.
 

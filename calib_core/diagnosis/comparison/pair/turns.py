@@ -8,8 +8,8 @@ judged.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     aligned,
     delay_between,
     found_delays,
+    hidden_delay,
     late,
     linear_in_motion,
 )
@@ -122,7 +123,8 @@ class Alignment:
     """What the other sensor reads, with the delays and the effects of turns that the one has besides.
 
     added: what these effects are of it; found: their findings, and those of delays; quantities: the numbers
-    of those with a name; sought: what could be looked for, by effect and sensor.
+    of those with a name; sought: what could be looked for, by effect and sensor; hidden: what motion shows of
+    the rest and why it may be nothing.
     """
 
     readings: Readings
@@ -130,6 +132,7 @@ class Alignment:
     found: list[Stated]
     quantities: list[Quantity]
     sought: frozenset[Key]
+    hidden: Mapping[Key, str] = field(default_factory=dict)
 
 
 def align(own: Readings, other: Readings, unsure: float = 0.0, at_rest: Array | None = None) -> Alignment:
@@ -148,12 +151,14 @@ def align(own: Readings, other: Readings, unsure: float = 0.0, at_rest: Array | 
         delay = delay_between(force, rate, unsure)
         found = found_delays(delay, force, rate, own.force)
         numbers = [of_delay(delay, own.force) for f in found if f.effect == DELAY]
-        sought = frozenset({(DELAY, "timing")})
-        whole = replace(whole, found=[Stated(f) for f in found], quantities=numbers, sought=sought)
+        why = None if found else hidden_delay(delay_between(force, rate), unsure)
+        key = (DELAY, "timing")
+        sought, hidden = frozenset({key} if why is None else ()), {} if why is None else {key: why}
+        whole = Alignment(true, none, [Stated(f) for f in found], numbers, sought, hidden)
     if force is not None:
-        whole = _with_effects(whole, own.force, true, force, at_rest)
+        whole = _with_effects(whole, own.force, true, force, at_rest, filtered=unsure > 0.0)
     if rate is not None and own.rate is not None:
-        whole = _with_effects(whole, own.rate, true, rate, at_rest)
+        whole = _with_effects(whole, own.rate, true, rate, at_rest, filtered=unsure > 0.0)
     return whole
 
 
@@ -162,13 +167,13 @@ def _nothing(samples: Samples) -> Samples:
 
 
 def _with_effects(
-    before: Alignment, own: Samples, true: Readings, seen: Late, at_rest: Array | None
+    before: Alignment, own: Samples, true: Readings, seen: Late, at_rest: Array | None, *, filtered: bool
 ) -> Alignment:
     """Return an alignment with the effects that the turns of one sensor show besides."""
     of_force = own.sensor is Sensor.ACCELEROMETER
     reads = true.force if of_force else true.rate
     assert reads is not None, "where a delay was measured there are readings"
-    turns = _Turns(own, reads, seen.pieces, _drivers(own, _turning(true, at_rest)))
+    turns = _Turns(own, reads, seen.pieces, _drivers(own, _turning(true, at_rest)), filtered)
     span = float(own.t[0]), float(own.t[-1])
     every = [Arm()] if of_force else effects_of("gyro", in_turns=True)
     # Linear in all that they have: nothing but numbers is fitted to samples, and no moment is looked for.
@@ -183,6 +188,7 @@ def _with_effects(
         [*before.found, *(Stated(f) for _, f in shown)],
         [*before.quantities, *(o.quantity(span, reference) for o, f in shown if f.effect != "unknown")],
         before.sought | {(e.name, e.sensor) for e in effects},
+        before.hidden,
     )
 
 
@@ -204,18 +210,23 @@ def _drivers(own: Samples, true: Readings) -> Moments:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turns:
-    """Where one sensor's readings change most: what both read there, and what drives effects."""
+    """Where one sensor's readings change most: what both read there, and what drives effects.
+
+    filtered: whether low-passes were played, for one of the two has them.
+    """
 
     own: Samples
     reads: Samples
     pieces: list[slice]
     drivers: Moments
+    filtered: bool
 
     def shown(self, effects: Sequence[Effect]) -> list[InTurns]:
         """Return the effects that predict left-out pieces best, one by one, each beside the others.
 
         Where they explain the smaller part of what noise does not, something is left that their names do not
-        say, and the clearest of them stands for it without a name.
+        say, and the clearest of them stands for it without a name. Behind low-passes it may be these, which
+        are known roughly.
         """
         chosen: list[Effect] = []
         while len(chosen) < thresholds.MAX_FINDINGS:
@@ -228,6 +239,8 @@ class _Turns:
         found = [self._fitted(e, [o for o in chosen if o is not e]) for e in chosen]
         if not found or self._explained(chosen) >= EXPLAINED:
             return found
+        if self.filtered:
+            return []
         first = max(found, key=lambda one: one.gain)
         return [replace(first, effect=nameless(first.effect))]
 

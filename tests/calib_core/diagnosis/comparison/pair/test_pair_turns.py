@@ -41,6 +41,20 @@ def one_axis_late(force: Array, rate: Array) -> tuple[Array, Array]:
     return force, moved
 
 
+def late(force: Array, rate: Array) -> tuple[Array, Array]:
+    moved = rate.copy()
+    moved[1:] = 0.8 * rate[1:] + 0.2 * rate[:-1]
+    return force, moved
+
+
+def test_a_delay_that_may_be_that_of_low_passes_is_told_and_not_stated() -> None:
+    own = turned(1, late)
+    shown = align(readings_of(own), mean_readings(own, [turned(101)]), unsure=0.004)
+    assert shown.found == []
+    (why,) = shown.hidden.values()
+    assert why.startswith("the gyroscope is 7.9 ms further behind the accelerometer")
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_sensors_that_read_alike_show_nothing(seed: int) -> None:
     assert seen(seed=seed).found == []
