@@ -105,11 +105,14 @@ def compete(
         reduced = reduce_residuals(residuals, some, found, parts=True)
         null = null_log_likelihood(reduced)
         leading: dict[int, tuple[int, float, Maximum | None]] = {}
-        for index, h in enumerate(some):
+        most = np.array([gain_bound(reduced, 4 * index) - null for index in range(len(some))])
+        for index in np.argsort(-most, kind="stable").tolist():  # the likeliest first, to spare others
+            h = some[index]
             known = best.get(id(h.effect))
             _, least, _ = leading.get(id(h.effect), (0, known.score if known else -np.inf, None))
             beat = max(thresholds.WORTH_FITTING, least + h.effect.prior_penalty)
-            own, top = _judged(reduced, index, null, h.multiplicity or grids[id(h.effect)], beat)
+            trials = h.multiplicity or grids[id(h.effect)]
+            own, top = _judged(reduced, index, null, float(most[index]), trials=trials, beat=beat)
             if own - h.effect.prior_penalty > least:
                 leading[id(h.effect)] = index, own - h.effect.prior_penalty, top
         for effect, (index, value, top) in leading.items():
@@ -126,19 +129,18 @@ def _batches(hypotheses: Sequence[Hypothesis]) -> Iterator[Sequence[Hypothesis]]
 
 
 def _judged(
-    reduced: Sequence[Reduced], index: int, null: float, trials: float, beat: float
+    reduced: Sequence[Reduced], index: int, null: float, most: float, *, trials: float, beat: float
 ) -> tuple[float, Maximum | None]:
     """Score a hypothesis on all axes and on each alone, and keep the better: minus infinity if below `beat`.
 
     Set 4 `index` of the reduced residuals is the whole hypothesis, the next three are its axes. All axes cost
-    a factor of two in trials, one axis one of six. No axis gains more than all of them. The second is the
-    maximum of the whole, where it was needed.
+    a factor of two in trials, one axis one of six. No axis gains more than all of them, and these at most
+    `most`. The second is the maximum of the whole, where it was needed.
     """
     best, whole, of_whole = -np.inf, 4 * index, None
     freedom = degrees(reduced, whole)
     if not freedom:
         return best, None
-    most = gain_bound(reduced, whole) - null
     if score(most, 1, freedom, trials * 2) < beat:
         return best, None
     for part, cost in ((whole, 2), (whole + 1, 6), (whole + 2, 6), (whole + 3, 6)):
