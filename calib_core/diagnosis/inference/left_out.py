@@ -18,6 +18,10 @@ SHARE_PIECES = 400
 """Pieces that a share of samples is counted in: what lasts for 1 % of a recording is in four of them."""
 
 
+LEAST = 1e-15
+"""Spread that values have at least: stamps of whole milliseconds may be even to the last digit."""
+
+
 def blocks(n: int) -> Index:
     """Return the fold (n,) of each of n pieces in their order."""
     return np.minimum(np.arange(n) * FOLDS // max(n, 1), FOLDS - 1).astype(np.int64)
@@ -53,7 +57,7 @@ def of_spread(values: Array, sound: float) -> HeldOut:
     fold, gain, before, after = blocks(values.size), 0.0, [], []
     for k in np.unique(fold):
         test = values[fold == k]
-        own = rms(values[fold != k])
+        own = max(rms(values[fold != k]), LEAST)
         null, power = min(own, sound), float((test**2).sum())
         gain += test.size * np.log(null / own) + 0.5 * power * (1.0 / null**2 - 1.0 / own**2)
         seen = float(np.sqrt(power / test.size))
