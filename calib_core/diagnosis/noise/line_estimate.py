@@ -186,8 +186,14 @@ def peak(grid: Array, power: Array) -> float:
 
 
 def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | None:
-    """State the line at a frequency (its index) that some stretches show; None where it is not sure."""
+    """State the line at a frequency (its index) that some stretches show; None where it is not sure.
+
+    Nor where parts of them have it further apart than a stretch tells apart: a band in which something
+    shakes has its largest power elsewhere in each.
+    """
     frequency, error = _in_step(seen, rows, *_frequency(seen, rows, middle))
+    if NORMAL_95 * error > float(seen.f[1]):
+        return None
     line = np.abs(_amplitudes(seen, rows, frequency)[:, 0]) ** 2
     noise = seen.to_amplitude[rows, None] ** 2 * _noise(seen, rows, middle)
     power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)

@@ -232,6 +232,21 @@ def test_a_strong_line_that_wanders_a_little_has_its_own_amplitude() -> None:
     assert found.parameters["amplitude"].value[2] == pytest.approx(0.5, rel=0.05)  # type: ignore[index]
 
 
+@pytest.mark.parametrize("seed", [27, 230])
+def test_bands_that_shake_for_a_minute_are_no_line(seed: int) -> None:
+    """Of three bands, 0.6 to 2 Hz wide, the power is largest up to 0.7 Hz further from fifth to fifth."""
+    t = T[:20000]
+    rng, shaken = np.random.default_rng(seed), (t > 60.0) & (t < 125.0)
+    xyz = rng.normal(0.0, NOISE, (t.size, 3))
+    xyz[:, 2] += 9.81
+    for _ in range(3):
+        r, pitch = np.exp(-np.pi * rng.choice([0.6, 1.0, 2.0]) * 0.01), rng.uniform(5.0, 20.0)
+        poles = [1.0, -2.0 * r * np.cos(2.0 * np.pi * pitch * 0.01), r * r]
+        ringing = lfilter([1.0], poles, rng.normal(size=int(shaken.sum())))
+        xyz[shaken] += np.outer(ringing / ringing.std(), rng.normal(0.0, 0.2, 3))
+    assert tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel") == []
+
+
 def test_a_line_for_a_while_that_keeps_its_phase_has_the_frequency_that_this_tells() -> None:
     """Single stretches of 20 s would tell it to 1e-4 Hz."""
     (found,) = tones(lying(humming({17.30071: 0.02}) * (T > 150.0) * (T < 450.0)), "accel")
