@@ -33,6 +33,10 @@ DROPS = "single values"
 FAR = 8.0
 """Spreads of residuals by which a value must leave those before and after it, to the same side."""
 
+NEAR = 10.0
+"""Steps to either side of a value within which motion ends its jumps about as often: where a shaken axis
+turns back, it is near one value time and again."""
+
 ROUNDING = 1e-6
 """Part of the largest value by which two differ that are one, but for rounding."""
 
@@ -64,6 +68,7 @@ class Dropped:
             return None
         value, which = np.unique(level[jump + 1], return_inverse=True)
         nats = _nats(np.log1p((size[jump] - least) / step), which.ravel(), value.size)
+        nats = np.minimum(nats, _beside_neighbours(value, np.bincount(which.ravel()), NEAR * step))
         best = int(np.argmax(nats))
         runs = jump[which.ravel() == best] + 1
         rows = np.concatenate([np.arange(first[r], last[r]) for r in runs])
@@ -100,6 +105,22 @@ def _nats(told: Array, which: Index, count: int) -> Array:
     n, k = float(told.size), np.bincount(which, minlength=count)
     ways = gammaln(n + 1.0) - gammaln(k + 1.0) - gammaln(n - k + 1.0)
     return np.asarray(np.bincount(which, told, count) - most - ways)
+
+
+def _beside_neighbours(value: Array, count: Index, near: float) -> Array:
+    """Return the nats of counts (v,) of jumps to each value, against the most to another one that is near.
+
+    Any of the values may be the one that most jumps end at.
+    """
+    first = np.searchsorted(value, value - near, side="left")
+    last = np.searchsorted(value, value + near, side="right")
+    others = [
+        max(count[a:i].max(initial=0), count[i + 1 : b].max(initial=0))
+        for i, (a, b) in enumerate(zip(first, last, strict=True))
+    ]
+    usual = np.maximum(others, 1.0 / (2.0 * NEAR))
+    nats = count * np.log(np.maximum(count / usual, 1.0)) - np.maximum(count - usual, 0.0)
+    return np.asarray(nats - np.log(len(value)))
 
 
 def dropouts(samples: Samples, sensor: str) -> tuple[Finding | None, Flags]:

@@ -82,3 +82,13 @@ def test_real_phones_whose_values_hardly_change_are_silent(data_dir: Path) -> No
     assert len(coarse) == 24
     for one in coarse:
         assert dropouts(one.samples, "accel")[0] is None
+
+
+def test_where_a_shaken_axis_turns_back_is_no_value_that_was_not_read() -> None:
+    """A table shakes the phone by a sine of a quarter of the sample rate, less far than it was turned."""
+    t, rng = np.arange(N) / RATE, np.random.default_rng(0)
+    force = turned()
+    shaken = (t > 200.0) & (t < 260.0)
+    still = np.array([force[shaken].mean(axis=0)]) + rng.normal(0.0, 0.002, (shaken.sum(), 3))
+    force[shaken] = still + 3.0 * np.sin(2.0 * np.pi * 12.49 * t[shaken])[:, None] * [0.6, 0.8, 0.1]
+    assert dropouts(samples(force, 0.0024), "accel")[0] is None
