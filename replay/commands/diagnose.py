@@ -194,9 +194,9 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         with stages(quiet) as show_stage:
             outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
-        # Of two recordings the refusal itself names the one that is too short.
-        subject = f"{input_name(trace)}: " if simulated is None else ""
-        click.echo(f"stillcal: {subject}too little data: {refusal}", err=True)
+        named = simulated is not None or str(refusal).startswith(f"{trace.name}: ")
+        subject = "" if named else f"{input_name(trace)}: "
+        click.echo(f"stillcal: too little data: {subject}{refusal}", err=True)
         sys.exit(TOO_LITTLE)
     _write(outputs, asked)
     if correction is not None:

@@ -94,7 +94,7 @@ def test_a_rest_table_comes_through_a_pipe_as_from_a_file(tmp_path: Path) -> Non
     os.close(reading)
     few = ran("diagnose", "-", given=REST_TABLE)
     assert few.returncode == 3 and few.stderr.startswith(
-        b"stillcal: standard input: too little data: 6 rests"
+        b"stillcal: too little data: standard input: 6 rests"
     )
     bad = ran("replay", "-", "--format", "rest", given=b"ax,ay,az\n0,0,0\n0,0,0\n")
     assert bad.returncode == 2 and bad.stderr.startswith(b"stillcal: standard input: all rests read zero")

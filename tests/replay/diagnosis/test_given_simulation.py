@@ -376,7 +376,9 @@ def test_the_command_blames_the_recording_that_is_too_short(tmp_path: Path) -> N
         path.write_text("\n".join(["t,ax,ay,az", *rows]) + "\n")
     done = run(long, "--simulated", short)
     assert done.exit_code == 3
-    assert "too little data: sim.csv" in done.output and "real.csv" not in done.output
+    assert done.output.startswith("stillcal: too little data: sim.csv: ") and "real.csv" not in done.output
+    alone = run(short)
+    assert (alone.exit_code, alone.output) == (3, done.output), "the file is named once"
 
 
 @pytest.mark.slow
