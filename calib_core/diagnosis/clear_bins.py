@@ -30,8 +30,8 @@ def still_bins(
     overview: Overview | None = None,
 ) -> Bins:
     """Return the bins in which the phone lay still, a vehicle's turns left out; overview: as in `cut`."""
-    bins = cut(accelerometer, gyroscope, events, overview=overview)
-    return without_leaning(steady(bins, without_lines(accelerometer, bins)))
+    bins = without_leaning(cut(accelerometer, gyroscope, events, overview=overview))
+    return steady(bins, without_lines(accelerometer, bins))
 
 
 def outside_of(bins: Bins, found: Sequence[Finding]) -> Bins:

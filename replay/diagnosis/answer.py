@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, vector
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
 from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.diagnosis.words.correction_code import to_paste
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement
@@ -110,7 +111,9 @@ def answer_of(
         "recording": names[0],
         "simulation": names[1],
         "verdict": before.verdict(fit.p_after),
-        "findings": [_finding(d, names, stated, mean) for d in before.discrepancies],
+        "findings": [
+            _finding(d, names, stated, mean, not_told_apart(d, before.smallest)) for d in before.discrepancies
+        ],
         "agreed": [
             *(_agreed(d.recorded) for d in before.agreed),
             *(_agreed(c.quantity) | {"note": c.note} for c in before.common),
@@ -154,6 +157,7 @@ def _finding(
     names: tuple[str, str],
     stated: Mapping[tuple[str, str, str], Finding],
     mean_temperature: float | None,
+    alike: str = "",
 ) -> dict[str, Any]:
     side = "simulated" if one.relation == "superfluous" else "recorded"
     own = one.recorded or one.simulated or stated.get((side, one.effect, one.sensor))
@@ -192,9 +196,24 @@ def _finding(
     out |= {"put_right": one.put_right} if one.put_right else {}
     found = one.recorded or one.simulated
     observed, remark = ("", "") if found is None else (found.observed, found.remark)
-    out["statement"] = " ".join(filter(None, (statement(out, names, observed), remark, one.note)))
+    out["statement"] = " ".join(filter(None, (statement(out, names, observed), remark, alike, one.note)))
     out |= {"assumption": one.note} if one.note else {}
     return out | to_paste(out)
+
+
+def not_told_apart(one: Discrepancy, smallest: Sequence[Smallest]) -> str:
+    """Say which nonlinearity would look like a difference of the accelerometer's bias; "" where none would.
+
+    Where the phone lies on its faces, a quadratic term moves gravity's length there as a bias does.
+    """
+    if one.effect != "accel_bias" or one.difference is None:
+        return ""
+    like = float(np.abs(one.difference.value).max()) / STANDARD**2
+    seen = [s.value for s in smallest if (s.effect, s.parameter) == ("accel_nonlinearity", "quadratic")]
+    if any(value < like for value in seen):
+        return ""
+    what = f"a nonlinearity of {like:.2g} 1/(m/s^2), of the square of the force"
+    return f"The attitudes in which the phone lay do not tell it from {what}."
 
 
 def _of_both(difference: Difference) -> dict[str, Any]:

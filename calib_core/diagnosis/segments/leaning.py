@@ -16,6 +16,9 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 FEWEST = 3
 """Bins of a rest whose median direction is gravity's own."""
 
+STEEPEST = float(np.cos(0.3))
+"""Cosine of a lean beyond which the phone was turned: no train or bus pushes by a third of gravity."""
+
 
 def without_leaning(bins: Bins) -> Bins:
     """Return bins whose force is as long as gravity where it leans. Without a gyroscope a lean is a tilt."""
@@ -37,6 +40,8 @@ def _leaning(bins: Bins, up: Array, rate: Array) -> Array:
         rows = np.flatnonzero(bins.rest == r)
         middle = np.median(up[rows], axis=0)
         cosine = up[rows] @ (middle / np.linalg.norm(middle))
+        if cosine.min() < STEEPEST:
+            continue
         leaning = np.cross(np.gradient(up[rows], bins.t[rows], axis=0), up[rows])
         seen = rate[rows] - rate[rows].mean(axis=0)
         tilt = float((leaning * seen).sum()) / max(float((leaning**2).sum()), 1e-300)

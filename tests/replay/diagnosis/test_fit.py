@@ -7,6 +7,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
+from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 
@@ -50,6 +51,28 @@ def test_scales_that_share_gravitys_error_are_told_against_their_mean() -> None:
     np.testing.assert_allclose(against["value"], [0.01 / 3.0, -0.005 / 3.0, -0.005 / 3.0])
     assert np.ptp(against["ci95"], axis=1).max() < 6e-4
     assert "The difference is scale against the mean of the axes x 0.333 ± 0.023 %." in said["statement"]
+
+
+@pytest.mark.parametrize(("smallest", "said"), [(2e-3, True), (None, True), (1e-4, False)])
+def test_a_bias_that_attitudes_do_not_tell_from_a_nonlinearity_says_so(
+    smallest: float | None, said: bool
+) -> None:
+    """Rests on a phone's faces alone: 0.05 m/s^2 of bias do what 5.2e-4 of the force's square do."""
+    where, parts = Where(0.0, 900.0, (0.0, 0.05), "nothing"), (Part("bias", "m/s^2", 3),)
+
+    def bias(x: float) -> Quantity:
+        alike = (np.full(3, 0.5), np.full(3, 2e-3), np.arange(3))
+        return Quantity(
+            "accel_bias", "accel", parts, np.array([x, 0.0, 0.0]), 1e-8 * np.eye(3), *alike, where=where
+        )
+
+    apart = subtract(bias(0.05), bias(0.0))
+    one = Discrepancy("accel_bias", "accel", ["x"], where, apart.relation(), 1.0, 300.0, apart)
+    unit = "1/(m/s^2)"
+    seen = [] if smallest is None else [Smallest("accel_nonlinearity", "accel", "quadratic", smallest, unit)]
+    answer = answer_of(Comparison([one], smallest=seen), ("real.csv", "sim.csv"), Fit(1e-9, 1.0), {}, None)
+    (finding,) = answer["findings"]
+    assert ("do not tell it from a nonlinearity of 0.00052 1/(m/s^2)" in finding["statement"]) is said
 
 
 def test_a_difference_beyond_doubt_is_stated_with_how_often_such_statements_are_true() -> None:
