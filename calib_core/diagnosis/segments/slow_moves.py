@@ -9,9 +9,9 @@ from stillcal.calib_core.arrays import Array
 SURELY = 4.0
 """Standard deviations of a window's mean rate beyond which it is not that of the rest."""
 
-AS_SLOWLY = 10.0
-"""Times that the rate falls from one window to the next at most, where a slow move ends. A hand that puts a
-phone down leaves less by far, and what a bias does afterwards is not its motion."""
+FALLS, AS_SLOWLY = 1.1, 10.0
+"""Times that the rate falls from one window to the next, at least and at most, where a slow move ends. What a
+bias does falls less in a second; a hand that puts a phone down leaves less by far."""
 
 
 def without_slow_moves(runs: list[tuple[int, int]], rate: Array, shortest: int) -> list[tuple[int, int]]:
@@ -47,10 +47,13 @@ def _apart(rate: Array, first: int, last: int) -> Array:
 
 
 def _turning(apart: Array) -> int:
-    """Return how many windows of a rest turn already. apart: of two windows outside it, then of its own."""
+    """Return how many windows of a rest turn already. apart: of two windows outside it, then of its own.
+
+    None where the recording begins or ends with the rest: there is no move.
+    """
     before, turning = float(apart[:2].max()), 0
-    for off in apart[2:]:
-        if off < SURELY or off * AS_SLOWLY < before:
+    for off in apart[2:] if apart[0] else ():
+        if off < SURELY or not off * FALLS < before < off * AS_SLOWLY:
             break
         before, turning = float(off), turning + 1
     return turning

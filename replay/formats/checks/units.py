@@ -58,7 +58,13 @@ fast spin about the vertical then seems to turn gravity by this much of its angl
 
 _EXPLAINED = 2.0
 """Rates in deg/s that turn the phone leave gravity's direction this many times less to turn, squared, than
-no rates at all. On a swing the force keeps along the ropes and turns by nothing; the phone turns smoothly."""
+no rates at all."""
+
+_SMOOTHLY, _SWUNG = 0.6, 0.02
+"""On a swing the force keeps along the ropes, so that rates seem not to turn it. They change from one quarter
+of a second to the next by so much of what they turn, squared (noise: by twice that; a swing of 2 s: by 0.59),
+and turn by 0.14 rad in it at most, root of the second. Phones of 30 people at rest, read in deg/s, are
+noisier or turn more in most stretches; a child's swing does, too, and is taken for deg/s."""
 
 _SLOWEST_STEP = 1.0
 """s: a longer median step is another unit of time; a sensor's of less than 1 kHz is longer in ms."""
@@ -165,7 +171,8 @@ def shown_unit(turning: Turning) -> str:
     none, degrees, as_stated, radians = (turning.misfit(k) for k in (0.0, DEGREE, 1.0, 1 / DEGREE))
     least = turning.pairs * _LEAST_TURNING**2
     if as_stated > max(_CLEARLY * degrees, least, _TILT**2 * turning.spread):
-        swings = none < _EXPLAINED * degrees and turning.change < turning.spread  # noise: twice the spread
+        smooth = turning.change < _SMOOTHLY * turning.spread < _SMOOTHLY * _SWUNG * turning.pairs
+        swings = smooth and none < _EXPLAINED * degrees
         return "unclear" if swings else "deg/s"
     if as_stated > max(_CLEARLY * radians, least):
         return "rad/s"

@@ -37,3 +37,10 @@ def test_a_bias_that_relaxes_after_a_hand_put_the_phone_down_is_kept() -> None:
     seen = bins(np.stack([rate, 0.0 * rate, 0.0 * rate], axis=1))
     assert seen.rate is not None
     assert np.count_nonzero(seen.rate[:, 0] - BIAS[0] > 3e-3) == 5, "one at the beginning of each rest"
+
+
+def test_a_bias_that_settles_from_the_beginning_of_the_recording_is_kept() -> None:
+    t = np.arange(int(300 * RATE_HZ)) / RATE_HZ
+    seen = bins(np.outer(1e-2 * np.exp(-t / 50.0), [1.0, 0.0, 0.0]))
+    assert seen.rate is not None and seen.t[0] < 10.0
+    assert seen.rate[0, 0] - BIAS[0] > 8e-3
