@@ -250,7 +250,7 @@ def _of_one(one: Discrepancy, names: tuple[str, str]) -> dict[str, Any]:
         return out | {"of_either": True}
     out["simulated"] = {k: _nothing_of(v) for k, v in _zeroed(values).items()}
     if one.effect == "noise_level" and names[1] == BUILT_IN:
-        out["simulated"] = {"ratio": {"value": 1.0, "unit": "1"}}
+        out["simulated"] = {"ratio": {"value": 1.0, "ci95": [1.0, 1.0], "unit": "1"}}
     return out
 
 
@@ -260,8 +260,13 @@ def _zeroed(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _nothing_of(parameter: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the parameter of a simulation that lacks the effect: nothing, exactly."""
     value = np.zeros(np.shape(parameter["value"]))
-    return {"value": value.tolist(), "unit": parameter["unit"]}
+    return {
+        "value": value.tolist(),
+        "ci95": np.stack([value, value], axis=-1).tolist(),
+        "unit": parameter["unit"],
+    }
 
 
 def _negated(parameter: Mapping[str, Any]) -> dict[str, Any]:

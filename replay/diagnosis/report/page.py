@@ -251,10 +251,10 @@ def _number(parameter: Mapping[str, Any], i: int, scale: tuple[float, str]) -> s
     """Return one number of a parameter with half of its interval, in a given unit."""
     factor, unit = scale
     value = float(np.ravel(parameter["value"])[i]) * factor
-    half = None
+    half = 0.0
     if "ci95" in parameter:
         half = float(np.ptp(np.reshape(parameter["ci95"], (-1, 2))[i])) / 2.0 * factor
-    return f"{plain(value, half)} {unit}".strip()
+    return f"{plain(value, half or None)} {unit}".strip()
 
 
 def _cell(finding: Mapping[str, Any], side: str, name: str, shown: Sequence[int]) -> str:

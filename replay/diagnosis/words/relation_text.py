@@ -50,7 +50,7 @@ def labels_of(name: str, count: int) -> list[str]:
 def with_interval(
     name: str, parameter: Mapping[str, Any], shown: Sequence[int], beside: Sequence[Mapping[str, Any]] = ()
 ) -> str:
-    """Return the numbers `shown` of a parameter, each with its label and half of its 95 % interval.
+    """Return the numbers `shown` of a parameter, each with its label and half of its 95 % interval, if any.
 
     beside: the same parameter of the other sides; all are given in the unit that fits the largest.
     """
@@ -58,12 +58,12 @@ def with_interval(
     labels = labels_of(name, values.size)
     sides = [values, *(np.asarray(p["value"], dtype=np.float64).ravel() for p in beside)]
     factor, unit = shown_in([side[list(shown)] for side in sides], parameter["unit"], name)
-    halves = None
+    halves = np.zeros(values.size)
     if "ci95" in parameter:
         halves = np.ptp(np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2), axis=1) / 2.0
     texts = []
     for i in shown:
-        number = plain(values[i] * factor, None if halves is None else halves[i] * factor)
+        number = plain(values[i] * factor, halves[i] * factor or None)
         texts.append(f"{labels[i]} {number} {unit}".strip())
     return ", ".join(texts)
 
