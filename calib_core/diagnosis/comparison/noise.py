@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.timestamps import mean_period
 from stillcal.calib_core.diagnosis.stream import Stream
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
 
 TIMES = float(np.log(3.0))
@@ -324,7 +325,7 @@ def rate(samples: Samples) -> Quantity:
     pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
     each = sample_period if bunched(samples.t) else mean_period
     logs = -np.log([each(p) for p in pieces])
-    error = 1.4826 * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(len(pieces))
+    error = MAD_TO_SD * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(len(pieces))
     return Quantity(
         "sample_rate",
         "timing",

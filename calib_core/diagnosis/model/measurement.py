@@ -33,6 +33,7 @@ from stillcal.calib_core.diagnosis.model.records import (
 )
 from stillcal.calib_core.diagnosis.model.settings import DIRECT_CHECKS, STATED
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 Index = NDArray[np.int64]
 
@@ -70,7 +71,7 @@ class Measured:
 def mean_of(pieces: Array, floor: float = 0.0) -> Measured:
     """Robust mean of independent pieces (n,) with a standard error from their scatter, `floor` at least."""
     middle = float(np.median(pieces))
-    scatter = 1.4826 * float(np.median(np.abs(pieces - middle)))
+    scatter = MAD_TO_SD * float(np.median(np.abs(pieces - middle)))
     keep = np.abs(pieces - middle) <= 4.0 * scatter + 1e-300
     kept = pieces[keep] if keep.sum() >= 3 else pieces
     error = float(kept.std(ddof=1)) / np.sqrt(kept.size) if kept.size > 1 else float("inf")

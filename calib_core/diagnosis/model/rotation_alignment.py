@@ -26,7 +26,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     tilted,
 )
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.maths.robust import means
+from stillcal.calib_core.maths.robust import MAD_TO_SD, means
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
 
@@ -248,7 +248,7 @@ def _step(turns: list[Turn], norms: Norms, x: Array) -> tuple[Array, Array]:
     y = np.concatenate([t.across() @ t.miss for t in turns])
     accel = np.concatenate([t.across() @ t.unsure for t in turns])
     gyro = np.concatenate([t.across() @ t.scale_columns() for t in turns])
-    spread = max(1.4826 * float(np.median(np.abs(y))), 1e-5)
+    spread = max(MAD_TO_SD * float(np.median(np.abs(y))), 1e-5)
     weight = (np.minimum(1.0, TRUSTED * spread / np.maximum(np.abs(y), 1e-12)) ** 0.5 / spread)[:, None]
     rows, target = norms.rows(x)
     design = np.vstack(

@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 AXES = [0, 1, 2]
 FAR = 4.0
@@ -87,7 +88,7 @@ def fast(piece: Array) -> Array:
 def _spread(quick: Array) -> Array:
     """Return the spread (3,) by the mean absolute deviation, far samples cut; steps do not make it jump."""
     size = np.abs(quick)
-    limit = 3.0 * np.maximum(1.4826 * np.median(size, axis=0), size.mean(axis=0))
+    limit = 3.0 * np.maximum(MAD_TO_SD * np.median(size, axis=0), size.mean(axis=0))
     return np.asarray(np.sqrt(np.pi / 2.0) * np.minimum(size, limit).mean(axis=0))
 
 
@@ -116,7 +117,7 @@ def standardised(pieces: Sequence[Array]) -> tuple[list[Array], Array]:
     calm = _quiet(every, spreads)
     quick, own = [q for q, use in zip(every, calm, strict=True) if use], spreads[calm]
     typical = np.maximum(np.median(own, axis=0), 1e-300)
-    alike = 1.4826 * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * _chance(quick) + 0.03
+    alike = MAD_TO_SD * np.median(np.abs(own / typical - 1.0), axis=0) < 1.5 * _chance(quick) + 0.03
     units = [np.where(alike, typical, np.maximum(s, 1e-300)) for s in own]
     return [q / unit for q, unit in zip(quick, units, strict=True)], typical
 

@@ -44,6 +44,7 @@ two of them correlate by 0.1."""
 
 STUDENT = 1.42
 """Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
+
 REACH = 4.0
 """Standard errors of a line's frequency within which it is looked for by phase."""
 

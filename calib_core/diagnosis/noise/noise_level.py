@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
 from stillcal.calib_core.diagnosis.noise.low_pass import SHARED, Quiet, Spectra, judged
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 LINE = 1.5
 USABLE = 0.3
@@ -100,7 +101,7 @@ def _of_axis(power: Array, expected: Array) -> tuple[Measured, bool]:
     """Return the density of one axis from its pieces' power (P,) and their expected relative scatter."""
     middle = float(np.median(power))
     chance = float(np.median(expected))
-    scatter = 1.4826 * float(np.median(np.abs(power / middle - 1.0)))
+    scatter = MAD_TO_SD * float(np.median(np.abs(power / middle - 1.0)))
     if scatter < UNSTEADY * chance + 0.02:
         mean = mean_of(power, FLOOR * middle)
         return Measured(float(np.sqrt(mean.value)), 0.5 * mean.error / float(np.sqrt(mean.value))), True

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.maths.robust import means
+from stillcal.calib_core.maths.robust import MAD_TO_SD, means
 
 Index = NDArray[np.int64]
 
@@ -49,7 +49,7 @@ def poses(
     if not runs:
         return rest, turned
     angles = [_less_bias(rate[a:b]) * window for a, b in runs]
-    noise = np.maximum(1.4826 * np.median(np.abs(np.concatenate(angles)), axis=0), 1e-9)
+    noise = np.maximum(MAD_TO_SD * np.median(np.abs(np.concatenate(angles)), axis=0), 1e-9)
     for k, ((a, b), own) in enumerate(zip(runs, angles, strict=True)):
         rest[k] = rest[k - 1] if k else 0
         if k:

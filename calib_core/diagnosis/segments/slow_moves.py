@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 SURELY = 4.0
 """Standard deviations of a window's mean rate beyond which it is not that of the rest."""
@@ -37,7 +38,7 @@ def _apart(rate: Array, first: int, last: int) -> Array:
     (last - first + 4,), in standard deviations of the axis that is farthest; 0 beyond the recording.
     """
     own = rate[first:last]
-    noise = 1.4826 * np.median(np.abs(np.diff(own, axis=0)), axis=0) / np.sqrt(2.0)
+    noise = MAD_TO_SD * np.median(np.abs(np.diff(own, axis=0)), axis=0) / np.sqrt(2.0)
     inside = np.arange(first - 2, last + 2)
     there = (inside >= 0) & (inside < len(rate))
     off = np.abs(rate[inside[there]] - np.median(own, axis=0)) / np.maximum(noise, 1e-9)

@@ -216,6 +216,7 @@ def rest_edges(
 
 
 def _rests(still: NDArray[np.bool_], rate: Windows | None, shortest: int) -> list[tuple[int, int]]:
+    """Return [first, last) windows of rests, free of slow moves at their ends where a gyroscope tells."""
     runs = rest_runs(still, shortest)
     return runs if rate is None else without_slow_moves(runs, rate.mean, shortest)
 

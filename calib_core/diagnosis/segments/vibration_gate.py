@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
 
@@ -61,7 +62,7 @@ def steady(bins: Bins, shaking: Array) -> Bins:
         return bins
     quiet = bins.rate[~loud]
     middle = np.median(quiet, axis=0)
-    scatter = 1.4826 * np.median(np.abs(quiet - middle), axis=0)
+    scatter = MAD_TO_SD * np.median(np.abs(quiet - middle), axis=0)
     spread = np.maximum(np.sqrt(bins.rate_variance), scatter)
     power = np.where(loud, shaking, 0.0)
     shifted = np.median((bins.rate[loud] - middle) / power[loud, None], axis=0)

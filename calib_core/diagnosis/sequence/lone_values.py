@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, least_change
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, WEIGHTS, residual, spread
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "single values in motion, or blows shorter than two samples"
@@ -83,7 +84,7 @@ def _lone(left: Array, still: NDArray[np.bool_], axis: int) -> tuple[Index, Arra
     alone = FAR * rest < CALM * own[at]
     at, off, rest = at[alone], off[alone], rest[alone]
     about = np.abs(left[at[:, None] + AROUND])
-    scale = np.maximum(1.4826 * np.median(about, axis=1), 0.5 * usual)
+    scale = np.maximum(MAD_TO_SD * np.median(about, axis=1), 0.5 * usual)
     others = (np.abs(left[at]) > CALM * scale).sum(axis=1) == 1
     clear = (own[at] > FAR * scale[:, axis]) & (rest < CALM * scale[:, axis]) & others
     return at[clear] + REACH, off[clear]

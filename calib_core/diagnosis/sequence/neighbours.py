@@ -12,6 +12,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.noise.heavy_tails import FAR, OUTLIER
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
 
 WEIGHTS = np.array([1.0, -4.0, 6.0, -4.0, 1.0]) / 6.0
@@ -32,7 +33,7 @@ def residual(values: Array) -> Array:
 
 def spread(left: Array) -> Array:
     """Return the robust spread (k,) of residuals (n, k), more than nothing."""
-    return np.asarray(np.maximum(1.4826 * np.median(np.abs(left), axis=0), LEAST_SPREAD))
+    return np.asarray(np.maximum(MAD_TO_SD * np.median(np.abs(left), axis=0), LEAST_SPREAD))
 
 
 def without_outliers(samples: Samples) -> Samples:

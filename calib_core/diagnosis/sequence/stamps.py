@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.sequence.neighbours import spread
 from stillcal.calib_core.diagnosis.sequence.places import batch
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
 
 LEAP, PATTERN, FEW = "stamps that leap", "count of the samples", "few late stamps"
@@ -127,7 +128,7 @@ def _patterned(found: Finding, grid: Grid) -> Finding | None:
 
 def _few(found: Finding, grid: Grid) -> Finding | None:
     """Return few stamps that are late among others in time; None where all scatter."""
-    most = 1.4826 * float(np.median(np.abs(grid.apart)))
+    most = MAD_TO_SD * float(np.median(np.abs(grid.apart)))
     every = rms(grid.apart)
     if max(most, grid.step / 2.0) > TAILED * every:
         return None

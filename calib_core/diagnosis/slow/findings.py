@@ -90,7 +90,7 @@ def slow_statements(residuals: SensorResiduals, without: Collection[str] = ()) -
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
         found, left = _jumps(residuals, steps)
     stated = statements_of(residuals, steps)
-    if _along_gravity(residuals, [h for step in adequate(steps) for h in step.explained]):
+    if _along_gravity(residuals, _explained(steps)):
         beside = []
     elif found:
         beside = [jumps.finding(residuals, found)]
@@ -104,6 +104,11 @@ def slow_statements(residuals: SensorResiduals, without: Collection[str] = ()) -
         *stated,
         *(Stated(replace(f, effect="unknown") if f.effect in without else f) for f in beside),
     ]
+
+
+def _explained(steps: Sequence[Step]) -> list[Hypothesis]:
+    """Return the hypotheses of the steps that are adequate."""
+    return [h for step in adequate(steps) for h in step.explained]
 
 
 def _along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> bool:
@@ -124,7 +129,7 @@ def not_unknown_twice(stated: Sequence[Stated], wandering: Sequence[Finding]) ->
 
 def _jumps(residuals: SensorResiduals, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:
     """Return a bias' jumps beside the steps, and the residuals with these taken out."""
-    explained = [h for step in adequate(steps) for h in step.explained]
+    explained = _explained(steps)
     left = reduce_residuals(residuals, [nothing(residuals)], explained)
     return jumps.jumps(residuals, explained, left), left
 

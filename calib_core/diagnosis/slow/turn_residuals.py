@@ -11,6 +11,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 OUTLIER = 8.0
 KNOWN = 2.0
@@ -63,5 +64,5 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
         absorbed=absorbed,
         known=KNOWN,
     )
-    spread = max(1.4826 * float(np.median(np.abs(rough.left()))), 1e-6)
+    spread = max(MAD_TO_SD * float(np.median(np.abs(rough.left()))), 1e-6)
     return replace(rough, variance=np.full(n, spread**2))

@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.stamps.clock_wander import wander
 from stillcal.calib_core.diagnosis.stamps.interval_memory import interval_memory
 from stillcal.calib_core.diagnosis.stamps.rate_changes import rate_change, stretches
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
 
 PIECES = 40
@@ -99,7 +100,7 @@ def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
     for _ in range(3):
         coefficients = np.linalg.lstsq(design[keep], y[keep], rcond=None)[0]
         residual = y - design @ coefficients
-        keep = np.abs(residual) <= 5.0 * 1.4826 * np.median(np.abs(residual)) + 1e-9
+        keep = np.abs(residual) <= 5.0 * MAD_TO_SD * np.median(np.abs(residual)) + 1e-9
     scatter = max(float(residual[keep].std(ddof=2)), 1e-6)
     rate = Measured(float(coefficients[1]), scatter / float(np.linalg.norm(design[keep, 1])))
     return rate, np.column_stack([x, y])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.accelerometer.parameters import AXES
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.replay.fleet.worker import CALIBRATED
 
 LEVEL = 0.01
@@ -87,7 +88,7 @@ def _of_quantity(
 ) -> Iterator[Change]:
     known = [p for p in pairs if all(row[column] is not None for row in p)]
     steps = np.array([last[column] - first[column] for first, last in known])
-    ordinary = 1.4826 * float(np.median(np.abs(steps))) if len(known) >= LEAST else 0.0
+    ordinary = MAD_TO_SD * float(np.median(np.abs(steps))) if len(known) >= LEAST else 0.0
     for (first, last), step in zip(known, steps.tolist(), strict=True):
         own = [row[f"{column}_sd"] for row in (first, last)]
         if ordinary == 0.0 and None in own:

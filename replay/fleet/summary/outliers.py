@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 LEVEL = 0.01
 """Probability that a fleet without outliers has any device named."""
@@ -54,7 +55,7 @@ def distances(values: Array, covariances: Array, level: float = LEVEL) -> Distan
         limit = p * freedom / (freedom - p + 1.0) * float(f.isf(tail, p, freedom - p + 1.0))
         return Distances(_against(values, estimate.location_, estimate.covariance_, covariances), limit, True)
     centre = np.median(values, axis=0)
-    sd = 1.4826 * np.median(np.abs(values - centre), axis=0)
+    sd = MAD_TO_SD * np.median(np.abs(values - centre), axis=0)
     squared = _against(values, centre, np.diag(np.maximum(sd, 1e-9) ** 2), covariances)
     return Distances(squared, float(chi2.isf(tail, p)) * (1.0 + 15.0 / max(n - p, 1)) ** 2, False)
 
