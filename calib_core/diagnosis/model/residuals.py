@@ -208,8 +208,8 @@ def rest_means(values: Array, rest: Index) -> Array:
     return np.asarray(means[rest])
 
 
-def _affine(force: Array, x: Array) -> tuple[Array, Array, Array]:
-    """Return S, S (m - b) (n, 3) and its derivative (n, 3, 9) by the nine parameters."""
+def affine(force: Array, x: Array) -> tuple[Array, Array, Array]:
+    """Return S, S (m - b) (n, 3) and its derivative (n, 3, 9) by the nine parameters x (9,)."""
     scale = np.eye(3)
     for value, (a, b) in zip(x[3:], PAIRS, strict=True):
         scale[a, b] += value
@@ -225,7 +225,7 @@ def _affine(force: Array, x: Array) -> tuple[Array, Array, Array]:
 
 def linearised(force: Array, x: Array) -> Baseline:
     """Return the baseline with parameters x (9,): bias, and the scale's excess over one with misalignment."""
-    scale, corrected, moved = _affine(force, x)
+    scale, corrected, moved = affine(force, x)
     norm = np.linalg.norm(corrected, axis=1)
     up = corrected / norm[:, None]
     return Baseline(scale, x[:3], up, norm, np.einsum("na,nap->np", up, moved))
@@ -244,7 +244,7 @@ def rest_courses(values: Array, rest: Index) -> Array:
 
 def tilted(force: Array, x: Array) -> tuple[Array, Array]:
     """Return gravity's direction (n, 3) and its derivative (n, 3, 9) by the nine parameters."""
-    _, corrected, moved = _affine(force, x)
+    _, corrected, moved = affine(force, x)
     norm = np.linalg.norm(corrected, axis=1)
     up = corrected / norm[:, None]
     along = np.einsum("na,nap->np", up, moved)

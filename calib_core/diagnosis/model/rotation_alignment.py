@@ -17,6 +17,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import (
+    MISALIGNMENT_SIZE,
+    SCALE_SIZE,
     Baseline,
     Norms,
     fit_baseline,
@@ -46,7 +48,10 @@ MARGIN = 0.5
 ROUNDS = 8
 SETTLED = 1e-6
 GYRO_SCALE_SIZE = 0.2
-"""Prior standard deviation of the gyroscope's scale and misalignment in this fit."""
+"""Prior standard deviation of what is left of its scale and misalignment where errors of turns are judged."""
+
+GYRO_PRIOR = 1.0 / np.where(np.eye(3) > 0.0, SCALE_SIZE, MISALIGNMENT_SIZE).ravel()
+"""One over the prior standard deviations of its scale and misalignment in this fit, row by row."""
 
 TRUSTED = 3.0
 """Scatters beyond which a turn's weight falls."""
@@ -183,7 +188,8 @@ class Aligned:
 
     baseline: of the accelerometer, as norm and turns fit it together; bias: (3,) of the rate, at rest;
     mapping: (3, 3), takes the rate as read to the true one; unsure: (9, 9), a column a standard deviation of
-    the accelerometer's parameters, as the norm alone leaves them.
+    the accelerometer's parameters, as the norm alone leaves them; errors: (18, 18), the same of these and of
+    the rate's error, row by row, as norm and turns leave them together; None with few turns.
     """
 
     turns: list[Turn]
@@ -191,6 +197,7 @@ class Aligned:
     bias: Array
     mapping: Array
     unsure: Array
+    errors: Array | None
 
 
 def aligned(
@@ -205,18 +212,20 @@ def aligned(
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
     steady = rest_courses(bins.force, bins.rest)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    x, mapping = baseline.parameters, np.eye(3)
+    x, mapping, errors = baseline.parameters, np.eye(3), None
     if len(found) >= LEAST_TURNS:
         for _ in range(ROUNDS):
-            step, error = _step(_carried(found, steady, x, mapping), norms, x)
+            step, error = _step(_carried(found, steady, x, mapping), norms, x, mapping)
             x, mapping = x + step, mapping - error @ mapping
             if max(np.abs(step).max(), np.abs(error).max()) < SETTLED:
                 break
         baseline = linearised(steady, x)
+        joint, _ = _rows(_carried(found, steady, x, mapping), norms, x, mapping)
+        errors = np.linalg.inv(np.linalg.qr(joint, mode="r"))
     design, _ = norms.rows(x)
     unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
     bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
-    return Aligned(_carried(found, steady, x, mapping), baseline, bias, mapping, unsure)
+    return Aligned(_carried(found, steady, x, mapping), baseline, bias, mapping, unsure, errors)
 
 
 def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[Turn]:
@@ -243,20 +252,24 @@ def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[
     return out
 
 
-def _step(turns: list[Turn], norms: Norms, x: Array) -> tuple[Array, Array]:
+def _step(turns: list[Turn], norms: Norms, x: Array, mapping: Array) -> tuple[Array, Array]:
     """Return how the accelerometer's parameters (9,) change, and the error (3, 3) left in the rates."""
+    solved = np.linalg.lstsq(*_rows(turns, norms, x, mapping), rcond=None)[0]
+    return np.asarray(solved[:9]), np.asarray(solved[9:]).reshape(3, 3)
+
+
+def _rows(turns: list[Turn], norms: Norms, x: Array, mapping: Array) -> tuple[Array, Array]:
+    """Return weighted rows (m, 18) of norm and turns, and their target (m,), about x (9,) and mapping.
+
+    The priors are of what both become, and not of the step.
+    """
     y = np.concatenate([t.across() @ t.miss for t in turns])
     accel = np.concatenate([t.across() @ t.unsure for t in turns])
     gyro = np.concatenate([t.across() @ t.scale_columns() for t in turns])
     spread = max(MAD_TO_SD * float(np.median(np.abs(y))), 1e-5)
     weight = (np.minimum(1.0, TRUSTED * spread / np.maximum(np.abs(y), 1e-12)) ** 0.5 / spread)[:, None]
     rows, target = norms.rows(x)
-    design = np.vstack(
-        [
-            np.hstack([rows, np.zeros((len(rows), 9))]),
-            np.hstack([-accel, gyro]) * weight,
-            np.hstack([np.zeros((9, 9)), np.eye(9) / GYRO_SCALE_SIZE]),
-        ]
-    )
-    solved = np.linalg.lstsq(design, np.concatenate([target, y * weight[:, 0], np.zeros(9)]), rcond=None)[0]
-    return solved[:9], solved[9:].reshape(3, 3)
+    usual = GYRO_PRIOR * (np.eye(3) - np.linalg.inv(mapping)).ravel()
+    free = np.hstack([np.zeros((9, 9)), np.diag(GYRO_PRIOR)])
+    design = [np.hstack([rows, np.zeros((len(rows), 9))]), np.hstack([-accel, gyro]) * weight, free]
+    return np.vstack(design), np.concatenate([target, y * weight[:, 0], usual])

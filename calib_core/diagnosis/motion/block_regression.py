@@ -6,7 +6,7 @@ speaks for the model.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +44,16 @@ def _cross_matrix(v: Array) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Regression:
-    """Normal equations of K pieces: information (K, k, k), target (K, k), power (K,), count (K,) samples."""
+    """Normal equations of K pieces: information (K, k, k), target (K, k), power (K,), count (K,) samples.
+
+    shared: (k, m), what errors that all pieces share add to the sum of `target`, a standard deviation each.
+    """
 
     information: Array
     target: Array
     power: Array
     count: Array
+    shared: Array
 
     @classmethod
     def of(cls, designs: list[Array], lefts: list[Array]) -> Regression:
@@ -59,7 +63,13 @@ class Regression:
             np.array([np.einsum("nij,ni->j", d, y) for d, y in zip(designs, lefts, strict=True)]),
             np.array([float((y**2).sum()) for y in lefts]),
             np.array([len(y) for y in lefts], dtype=np.float64),
+            np.zeros((designs[0].shape[2], 0)),
         )
+
+    def sharing(self, designs: list[Array], errors: list[Array]) -> Regression:
+        """Return the same with what errors (n, 3, m) that all pieces share do to designs (n, 3, k)."""
+        pairs = zip(designs, errors, strict=True)
+        return replace(self, shared=np.sum([np.einsum("nij,nim->jm", d, e) for d, e in pairs], axis=0))
 
     def fitted(self, pieces: Mask | None = None) -> Array:
         """Return the parameters (k,) that fit the pieces chosen by (K,) bool, all by default."""
@@ -71,13 +81,13 @@ class Regression:
     def through(self, mixed: Array) -> Regression:
         """Return the same for columns that are mixtures of these: (k, m), a column each."""
         information = np.einsum("ka,nkl,lb->nab", mixed, self.information, mixed)
-        return Regression(information, self.target @ mixed, self.power, self.count)
+        return Regression(information, self.target @ mixed, self.power, self.count, mixed.T @ self.shared)
 
     def only(self, columns: Mask) -> Regression:
         """Return the same without the columns that (k,) bool does not choose."""
         rows = np.flatnonzero(columns)
         information = self.information[:, rows[:, None], rows]
-        return Regression(information, self.target[:, rows], self.power, self.count)
+        return Regression(information, self.target[:, rows], self.power, self.count, self.shared[rows])
 
     def left(self, x: Array) -> Array:
         """Return the sum of squares (K,) that parameters `x` leave in each piece."""
@@ -98,7 +108,8 @@ class Regression:
         )
         away = others - others.mean(axis=0)
         n = chosen.size
-        covariance = (n - 1) / n * away.T @ away + 1e-12 * np.eye(others.shape[1])
+        common = np.linalg.solve(self.information.sum(axis=0), self.shared)
+        covariance = (n - 1) / n * away.T @ away + common @ common.T + 1e-12 * np.eye(others.shape[1])
         total = float(self.power.sum())
         return self.fitted(), covariance, explained / total if total else 0.0
 

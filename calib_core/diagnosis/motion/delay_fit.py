@@ -38,7 +38,8 @@ arm and no delay on, weights hold what an arm does for noise at first, and three
 class Fit:
     """A delay, s, the normal equations about no delay (`first`) and about it (`last`), and its spectra.
 
-    Both are weighed alike, by what is left about the delay. growth: about how much it grows, s.
+    Both are weighed alike, by what is left about the delay. growth: about how much it grows, s. errors: what
+    bias, scale and misalignment may do beside it, spectra (f, 3, m) a window; None where they are not known.
     """
 
     delay: float
@@ -47,6 +48,7 @@ class Fit:
     last: Weighed
     effects: list[Spectrum]
     still: list[Spectrum]
+    errors: list[Spectrum] | None
 
     @property
     def delay_apart(self) -> float:
@@ -74,7 +76,7 @@ class Fit:
     def _beside(self, more: Sequence[Spectrum]) -> tuple[Regression, list[float]]:
         """Return the equations with further columns, spectra (f, 3, k) a window, and how parts disagree."""
         every = [np.concatenate(pair, axis=2) for pair in zip(self.effects, more, strict=True)]
-        beside = Weighed.of(every, self.still)
+        beside = Weighed.of(every, self.still).beside(every, self.errors)
         return beside.sums, [beside.apart([m[:, :, k] for m in more]) for k in range(more[0].shape[2])]
 
 
@@ -86,7 +88,8 @@ def fitted(motion: Motion) -> Fit:
         last = Weighed.of(effects, still)
         total = _within(total + float(last.sums.fitted()[3]))
     first = summed(*motion.equations(0.0), last.weight)
-    return Fit(total, growth, first, last, effects, still)
+    errors = motion.of_errors(total)
+    return Fit(total, growth, first, last.beside(effects, errors), effects, still, errors)
 
 
 def by_octaves(motion: Motion) -> tuple[float, float]:
@@ -122,10 +125,11 @@ def _within(delay: float) -> float:
 
 def summed(effects: list[Spectrum], still: list[Spectrum], weight: Array) -> Regression:
     """Return the normal equations of windows weighed by (K, f)."""
-    designs, lefts = (
-        [_parts(x, w) for x, w in zip(every, weight, strict=True)] for every in (effects, still)
-    )
-    return Regression.of(designs, lefts)
+    return Regression.of(_weighed(effects, weight), _weighed(still, weight))
+
+
+def _weighed(every: list[Spectrum], weight: Array) -> list[Array]:
+    return [_parts(x, w) for x, w in zip(every, weight, strict=True)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,6 +156,13 @@ class Weighed:
             if np.linalg.norm(x - before) < SETTLED * np.linalg.norm(x):
                 break
         return cls(sums, weight, _left(effects, still, x) * weight[:, :, None])
+
+    def beside(self, effects: list[Spectrum], errors: list[Spectrum] | None) -> Weighed:
+        """Return the same with errors (f, 3, m) a window that all windows share; None are none."""
+        if errors is None:
+            return self
+        designs, added = _weighed(effects, self.weight), _weighed(errors, self.weight)
+        return replace(self, sums=self.sums.sharing(designs, added))
 
     def likely_step(self, delays: Array) -> Array:
         """Return by how much more than `delays` (k,), s, the last k parameters are, as `USUAL` ones are."""

@@ -15,6 +15,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.motion.affine_errors import affine_columns
 from stillcal.calib_core.diagnosis.motion.axis_delays import axis_columns
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum
@@ -71,9 +72,14 @@ class Motion:
     """The windows in which a phone turns, with what it felt."""
 
     accelerometer: Samples
-    baseline: Baseline | None
+    affine: Aligned | None
     windows: Sequence[Window]
     gravity: float
+
+    @property
+    def baseline(self) -> Baseline | None:
+        """The accelerometer's bias and scale; None where no rest tells them."""
+        return None if self.affine is None else self.affine.baseline
 
     @classmethod
     def of(
@@ -89,7 +95,7 @@ class Motion:
         cut = [w for w in windows if _covered(w[0], accelerometer.t)]
         mapping = np.eye(3) if affine is None else affine.mapping
         parts = [Window.of(t, rate @ mapping.T) for t, rate in cut]
-        return cls(accelerometer, None if affine is None else affine.baseline, parts, gravity)
+        return cls(accelerometer, affine, parts, gravity)
 
     def span(self) -> tuple[float, float]:
         """Return when the first window starts and the last one ends, s."""
@@ -122,6 +128,20 @@ class Motion:
         for w in self.windows:
             _, up = felt(w.back, force_at(self.accelerometer, self.baseline, w.t))
             made.append(spectrum(axis_columns(w.t, w.back, w.rate, up, self.gravity)))
+        return made
+
+    def of_errors(self, delay: float) -> list[Spectrum] | None:
+        """Return what errors of bias, scale and misalignment do, as spectra (f, 3, 18) a window.
+
+        Each is one standard deviation of what rests and turns leave unknown. None with few turns.
+        """
+        if self.affine is None or self.affine.errors is None:
+            return None
+        parameters, errors = self.affine.baseline.parameters, self.affine.errors
+        made = []
+        for w in self.windows:
+            raw = force_at(self.accelerometer, None, w.t - delay)
+            made.append(spectrum(affine_columns(w.t, w.back, w.rate, raw, parameters) @ errors))
         return made
 
 
