@@ -6,7 +6,7 @@ python -m stillcal.replay.trials.pages.proof proof.json
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +32,13 @@ def main(proof: Path) -> None:
 
 def table(scores: list[Mapping[str, Any]]) -> Iterator[str]:
     """Yield the table's lines, and how often the whole answer is right."""
-    lines = {s["solver"]: {line["what"]: line for line in s["lines"]} for s in scores}
+    lines = {s["solver"]: _under_heads(s["lines"]) for s in scores}
     there = [solver for solver in SOLVERS if solver in lines]
     head = ("score", *(SOLVERS[s] for s in there), "n", "bar", "holds")
     rows = []
-    for what, own in lines["diagnosis"].items():
+    for key, own in lines["diagnosis"].items():
         if own["n"]:
-            cells = [_cell(lines[s].get(what)) for s in there]
+            what, cells = own["what"], [_cell(lines[s].get(key)) for s in there]
             holds = {True: "yes", False: "**no**", None: ""}[own["holds"]]
             name = f"- {what.strip()}" if what.startswith(" ") else what
             rows.append((name, *cells, str(own["n"]), own["bar"], holds))
@@ -47,6 +47,15 @@ def table(scores: list[Mapping[str, Any]]) -> Iterator[str]:
     shares = [f"{SOLVERS[s]} {100 * right[s]['value']:.1f} %" for s in there if right[s]["n"]]
     if shares:
         yield f"\nWhole answer right, of {right['diagnosis']['n']} cases: {', '.join(shares)}."
+
+
+def _under_heads(lines: Iterable[Line]) -> dict[tuple[str, str], Line]:
+    """Return lines by the score that they are a part of, and their own name: parts are named alike."""
+    found, head = {}, ""
+    for line in lines:
+        head = head if line["what"].startswith(" ") else line["what"]
+        found[head, line["what"]] = line
+    return found
 
 
 def _cell(line: Line | None) -> str:

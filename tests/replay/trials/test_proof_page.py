@@ -28,6 +28,7 @@ SCORES = [
                 "bar": "",
                 "holds": None,
             },
+            {"what": "  of them", "value": 0.5, "low": 0.1, "high": 0.9, "n": 4, "bar": "", "holds": None},
             {"what": "not tried", "value": None, "low": None, "high": None, "n": 0, "bar": "", "holds": None},
         ],
     },
@@ -42,5 +43,6 @@ def test_scores_become_a_table() -> None:
         "| alarms | 25.0 % (1 to 80) | - | 4 | <= 1% | **no** |",
         "| - of them | 100.0 % (10 to 100) | - | 1 |  |  |",
         "| d' of 90 % detection | 9.0 (7.0 and more) | - | 4 |  |  |",
+        "| - of them | 50.0 % (10 to 90) | - | 4 |  |  |",
         "\nWhole answer right, of 4 cases: diagnosis 75.0 %, sparse regression 0.0 %.",
     ]
