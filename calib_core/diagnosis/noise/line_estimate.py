@@ -197,7 +197,7 @@ def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | 
         return None
     line = np.abs(_amplitudes(seen, rows, frequency)[:, 0]) ** 2
     noise = seen.to_amplitude[rows, None] ** 2 * _noise(seen, rows, middle)
-    power, spread = (line - noise).mean(axis=0), line.std(axis=0) / np.sqrt(rows.size)
+    power, spread = _mean_power(line - noise, noise)
     amplitude = np.sqrt(np.maximum(power, 0.0))
     scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
     axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
@@ -207,6 +207,18 @@ def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | 
     evidence = _seen(line / np.maximum(noise, 1e-300), line, alike, float(seen.f.size) * runs)
     pitch, size, span = (frequency, error), (amplitude, scatter), _lasts(seen, rows)
     return vibration(sensor, seen, axes, pitch=pitch, size=size, span=span, evidence=evidence)
+
+
+def _mean_power(power: Array, noise: Array) -> tuple[Array, Array]:
+    """Return the mean (3,) of a line's power (n, 3), and its standard error, where noise (n, 3) is.
+
+    Stretches count by their precision: a faint line is not lost in those in which a car drives, and one that
+    is above the noise of all counts in each alike.
+    """
+    weight = np.maximum(noise + np.maximum(power.mean(axis=0), 0.0), 1e-30) ** -2.0
+    weight /= weight.sum(axis=0)
+    mean = (weight * power).sum(axis=0)
+    return mean, np.sqrt((weight**2 * (power - mean) ** 2).sum(axis=0))
 
 
 def vibration(

@@ -232,6 +232,13 @@ def test_a_strong_line_that_wanders_a_little_has_its_own_amplitude() -> None:
     assert found.parameters["amplitude"].value[2] == pytest.approx(0.5, rel=0.05)  # type: ignore[index]
 
 
+def test_a_faint_line_is_not_lost_in_the_stretches_in_which_a_car_drives() -> None:
+    rng, drives = np.random.default_rng(4), (T % 120.0 > 60.0)
+    (found,) = tones(lying(humming({17.3: 0.006}) + rng.normal(0.0, 0.2, T.size) * drives), "accel")
+    low, high = np.asarray(found.parameters["amplitude"].ci95, dtype=np.float64)[2]
+    assert low < 0.006 < high and high - low < 0.002
+
+
 @pytest.mark.parametrize("seed", [27, 230])
 def test_bands_that_shake_for_a_minute_are_no_line(seed: int) -> None:
     """Of three bands, 0.6 to 2 Hz wide, the power is largest up to 0.7 Hz further from fifth to fifth."""
