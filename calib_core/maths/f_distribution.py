@@ -31,4 +31,5 @@ def log_tail(ratio: float, more: float, free: float) -> float:
     a, b = 0.5 * free, 0.5 * more
     if x < (a + 1.0) / (a + b + 2.0):
         return log_beta_share(a, b, x)
-    return math.log(-math.expm1(log_beta_share(b, a, 1.0 - x)))
+    rest = more * ratio / (free + more * ratio)
+    return math.log(-math.expm1(log_beta_share(b, a, rest))) if rest else 0.0

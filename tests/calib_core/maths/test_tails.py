@@ -28,7 +28,7 @@ def test_tails_are_those_of_scipy_stats() -> None:
 
 def test_tails_have_ends() -> None:
     assert f_distribution.log_tail(0.0, 2, 9) == 0.0 and f_distribution.log_tail(np.inf, 2, 9) == -np.inf
-    assert float(chi_squared.log_tail(0.0, 2)) == 0.0
+    assert float(chi_squared.log_tail(0.0, 2)) == 0.0 and f_distribution.log_tail(1e-20, 2, 9) == 0.0
     assert f_distribution.log_tail(1e300, 2, 9) < -1000.0 and f_distribution.tail(1e300, 2, 9) == 0.0
 
 
