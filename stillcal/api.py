@@ -35,10 +35,11 @@ from stillcal.calib_core.streams.samples import warmed
 from stillcal.calib_core.streams.smoothing import smoothed
 from stillcal.calib_core.temperature.charger import Charger
 from stillcal.daemon.store.document import calibration_json
-from stillcal.replay.diagnosis.diagnose import Request
+from stillcal.replay.diagnosis.diagnose import Request, conflict
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
 from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.covariates import of_values
 from stillcal.replay.formats.in_memory import is_table, of_arrays, of_table, part_of
 from stillcal.replay.formats.trace import Recording, read_all
 from stillcal.replay.notebook import html_table
@@ -307,25 +308,46 @@ class Diagnosis:
 
 
 def diagnose(
-    recording: Source, *, phone: PathLike | None = None, simulated: Source | None = None
+    recording: Source,
+    *,
+    phone: PathLike | None = None,
+    simulated: Source | None = None,
+    paired: bool = False,
+    witnesses: Iterable[Source] = (),
+    covariates: Mapping[str, ArrayLike | tuple[ArrayLike, ArrayLike]] | None = None,
 ) -> Diagnosis:
     """Say where a recording differs from its simulation and which physics explains it.
 
     The same as `stillcal diagnose`. recording: a Recording, or what `load` takes. phone: the simulation to be
     judged, a ready phone's name or the path of a phone.toml; None for the phone that calibration assumes,
     with constant scale and bias and plain noise. simulated: what any simulator recorded; it is then judged
-    instead. The answer has schema 2 (what differs, what agrees, what could not be compared).
+    instead. paired: it has the recording's own motion and stamps. witnesses: recordings by other sensors on
+    the same body at the same time. covariates: further quantities that a bias may follow, by name: (n,) one
+    value for each of the accelerometer's samples, or a pair of times (m,) s and values (m,).
 
-    Raises NotSupported where there is too little data, ValueError where the phone cannot be had.
+    The answer has schema 2 (what differs, what agrees, what could not be compared).
+
+    Raises NotSupported where there is too little data, ValueError where the phone cannot be had, arguments
+    exclude each other or a covariate has another length.
     """
-    if simulated is not None and phone is not None:
-        raise ValueError("give phone or simulated: each is another simulation")
+    others = tuple(witnesses)
+    given = {"simulated": simulated is not None, "phone": phone is not None, "paired": paired}
+    given |= {"witness": bool(others), "covariate": bool(covariates)}
+    if why := conflict([name for name, there in given.items() if there]):
+        raise ValueError(why)
     request = Request(
         simulated=None if simulated is None else load(simulated),
         phone=None if phone is None else load_phone(_text(phone)),
         phone_name="" if phone is None else Path(_text(phone)).name,
+        paired=paired,
+        witnesses=tuple(load(other) for other in others),
     )
-    return Diagnosis(find_differences(load(recording), request).judged.answer)
+    opened = load(recording)
+    if covariates:
+        stamps = opened.accelerometer.t
+        series = {name: of_values(name, values, stamps) for name, values in covariates.items()}
+        opened = replace(opened, covariates=series)
+    return Diagnosis(find_differences(opened, request).judged.answer)
 
 
 def simulate(scenario: PathLike, *, phone: PathLike = "typical", seed: int = 0) -> Recording:

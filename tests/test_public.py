@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 import stillcal
+from stillcal.calib_core.arrays import frozen
 from stillcal.daemon.cli.main import cli
 
 SAMPLE = "sample:lab"
@@ -308,6 +310,31 @@ def test_a_phone_and_a_simulation_can_be_given(sample: stillcal.Recording) -> No
     judged = stillcal.diagnose(sample, simulated=again)
     assert judged.answer["schema"] == 2 and "accel_bias" not in [f["effect"] for f in judged.findings]
     assert "checks possible" in repr(judged)
+
+
+@pytest.mark.parametrize(
+    ("given", "why"),
+    [
+        ({"paired": True}, "paired goes with simulated"),
+        ({"phone": "typical", "simulated": "sample:lab"}, "simulated and phone exclude each other"),
+        ({"phone": "typical", "witnesses": ["sample:lab"]}, "witness is for the built-in simulation"),
+        (
+            {"witnesses": ["sample:lab"], "covariates": {"load": [1.0]}},
+            "witness does not go with covariate",
+        ),
+    ],
+)
+def test_what_excludes_each_other_is_refused(given: dict[str, Any], why: str) -> None:
+    with pytest.raises(ValueError, match=f"^{why}"):
+        stillcal.diagnose("sample:lab", **given)
+
+
+def test_a_paired_simulation_can_be_given_that_differs_by_a_number_alone() -> None:
+    sample = stillcal.load("sample:lab", stop=150.0)
+    force = sample.accelerometer
+    shifted = replace(sample, accelerometer=replace(force, xyz=frozen(force.xyz + np.array([0.2, 0.0, 0.0]))))
+    (found,) = stillcal.diagnose(shifted, simulated=sample, paired=True).findings
+    assert found["effect"] == "accel_bias"
 
 
 def test_python_m_stillcal_is_the_command() -> None:

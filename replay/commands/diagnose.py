@@ -33,7 +33,7 @@ from stillcal.replay.commands.outputs import (
 )
 from stillcal.replay.commands.reading import READING, Reading, reading_options, show_notes
 from stillcal.replay.diagnosis.condense import read_condensed
-from stillcal.replay.diagnosis.diagnose import Request, diagnose
+from stillcal.replay.diagnosis.diagnose import Request, conflict, diagnose
 from stillcal.replay.diagnosis.judged import ShowStage
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
@@ -233,7 +233,8 @@ def _witnesses(paths: Sequence[Path], sensors: Sequence[str]) -> tuple[tuple[Pat
 
 def _check(asked: _Asked) -> None:
     """Refuse early what would fail late. Raises UsageError."""
-    _check_of_one_motion(asked)
+    if why := conflict(_given(asked), "--"):
+        raise click.UsageError(why)
     report, phone_out = asked.report, asked.phone_out
     if report is not None:
         require_matplotlib()
@@ -260,12 +261,6 @@ def _check(asked: _Asked) -> None:
             "a rest table has no samples: --phone, --simulated, --witness, --report, --phone-out, --fix-for,"
             " --covariate and --residuals need them"
         )
-    if asked.simulated is not None and (asked.phone is not None or phone_out is not None):
-        other = "--phone" if asked.phone is not None else "--phone-out"
-        raise click.UsageError(
-            f"--simulated and {other} exclude each other: SIM is the simulation that is judged;"
-            " to correct its configuration, give --fix-for"
-        )
     if asked.fix_for is not None and asked.simulated is None and asked.phone is None:
         raise click.UsageError(
             "--fix-for corrects the simulation that is judged: give it as --simulated SIM or --phone PHONE"
@@ -283,17 +278,18 @@ def _check(asked: _Asked) -> None:
     refuse_collisions(files(report, phone_out, fixed, asked.residuals, asked.json), reads)
 
 
-def _check_of_one_motion(asked: _Asked) -> None:
-    """Refuse what does not go with --paired or --witness. Raises UsageError."""
-    if asked.paired and asked.simulated is None:
-        raise click.UsageError("--paired goes with --simulated SIM")
-    if asked.witnesses and (asked.simulated is not None or asked.phone is not None):
-        raise click.UsageError("--witness is for the built-in simulation: leave out --simulated and --phone")
-    if not (asked.paired or asked.witnesses):
-        return
-    one = "--paired" if asked.paired else "--witness"
-    if asked.phone_out is not None or asked.residuals is not None or asked.covariates:
-        raise click.UsageError(f"{one} does not go with --phone-out, --residuals or --covariate")
+def _given(asked: _Asked) -> list[str]:
+    """Return the names of the options that were given, of those that `conflict` knows."""
+    options = {
+        "simulated": asked.simulated,
+        "phone": asked.phone,
+        "paired": asked.paired,
+        "witness": asked.witnesses,
+        "covariate": asked.covariates,
+        "phone-out": asked.phone_out,
+        "residuals": asked.residuals,
+    }
+    return [name for name, value in options.items() if value]
 
 
 class _Outputs(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,6 +33,28 @@ class Request:
     phone_file: bool = False
     paired: bool = False
     witnesses: tuple[Recording, ...] = ()
+
+
+def conflict(given: Collection[str], mark: str = "") -> str:
+    """Say which of the options that are given exclude each other, "" where none do.
+
+    given: of simulated, phone, paired, witness, covariate, phone-out and residuals. mark: what is written
+    before a name, such as "--".
+    """
+    if "simulated" in given and "phone" in given:
+        return f"{mark}simulated and {mark}phone exclude each other: each is a simulation, and one is judged"
+    if "simulated" in given and "phone-out" in given:
+        return (
+            f"{mark}simulated and {mark}phone-out exclude each other: {mark}fix-for writes what is found into"
+            " the simulation's own configuration"
+        )
+    if "paired" in given and "simulated" not in given:
+        return f"{mark}paired goes with {mark}simulated"
+    if "witness" in given and ("simulated" in given or "phone" in given):
+        return f"{mark}witness is for the built-in simulation: leave out {mark}simulated and {mark}phone"
+    one = next((name for name in ("paired", "witness") if name in given), "")
+    beside = next((name for name in ("phone-out", "residuals", "covariate") if name in given), "")
+    return f"{mark}{one} does not go with {mark}{beside}" if one and beside else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

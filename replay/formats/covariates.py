@@ -10,6 +10,7 @@ from typing import Any, TextIO
 
 import numpy as np
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.replay.formats.clock import seconds_per_unit
 from stillcal.replay.formats.columns import TIME_UNITS, TimeMap, find_columns
@@ -40,6 +41,27 @@ def read_covariates(path: Path, names: Sequence[str], time: TimeMap = BY_T) -> d
         raise TraceError(
             path, f"--covariate cannot read it as CSV ({error})", "give a CSV recording with that column"
         ) from error
+
+
+def of_values(name: str, values: Any, stamps: Array) -> TimeSeries:
+    """Return a covariate from memory, without what is not finite.
+
+    values: (n,) at the recording's stamps (n,) s, or a pair of times (m,) s and values (m,). Raises
+    TraceError where they are no numbers, of another length, or their times run backwards.
+    """
+    t, own = values if isinstance(values, tuple) and len(values) == 2 else (stamps, values)
+    try:
+        t, own = np.asarray(t, dtype=np.float64), np.asarray(own, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise TraceError(name, "the covariate holds what is not a number", "give numbers") from None
+    if t.ndim != 1 or own.shape != t.shape:
+        what = f"the covariate has shape {own.shape} and its times {t.shape}"
+        raise TraceError(name, what, "give a value for each sample, or a pair (t, values)")
+    there = np.isfinite(t) & np.isfinite(own)
+    if not there.any() or (np.diff(t[there]) < 0.0).any():
+        what = "the covariate holds no numbers" if not there.any() else "the covariate's times run backwards"
+        raise TraceError(name, what, "correct it")
+    return TimeSeries(t[there], own[there])
 
 
 def columns_there(path: Path, names: Sequence[str]) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+import stillcal
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.export.imu import noise_of
-from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.formats.covariates import of_values, read_covariates
+from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import open_trace
 from stillcal.replay.phone.phone import load_phone
 from tests.support.command_line import ran
@@ -96,6 +99,34 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     gyro = load_phone(str(better)).gyro
     assert gyro is not None
     assert noise_of(gyro).slow_deviation().max() < 0.1 * SLOPE * VOLTS
+
+
+def test_python_takes_the_column_as_values_or_with_times_of_its_own(log: Path) -> None:
+    (read,) = read_covariates(log, ["battery_v"]).values()
+    recording = stillcal.load(log)
+    answer = stillcal.diagnose(recording, covariates={"battery_v": (read.t, read.values)})
+    assert [f["effect"] for f in answer.findings] == ["gyro_bias_battery_v"]
+    stamps = np.asarray(recording.accelerometer.t)
+    every = np.full(stamps.size, np.nan)
+    every[np.searchsorted(stamps, read.t)] = read.values
+    alike = of_values("battery_v", every, stamps)
+    np.testing.assert_array_equal(alike.t, stamps[np.searchsorted(stamps, read.t)])
+    np.testing.assert_array_equal(alike.values, read.values)
+
+
+@pytest.mark.parametrize(
+    ("values", "fault"),
+    [
+        ([1.0, 2.0], "the covariate has shape (2,) and its times (3,)"),
+        (["a", "b", "c"], "holds what is not a number"),
+        ([np.nan] * 3, "holds no numbers"),
+        (([2.0, 1.0], [0.0, 0.0]), "times run backwards"),
+    ],
+)
+def test_values_that_cannot_be_used_are_refused(values: Any, fault: str) -> None:
+    with pytest.raises(TraceError, match=re.escape(fault)) as refused:
+        of_values("load", values, np.arange(3.0))
+    assert str(refused.value).startswith("load: ")
 
 
 def examined_with(path: Path, column: bool = True) -> Examination:
