@@ -23,6 +23,9 @@ VERDICTS = {
 }
 NAMED_ONLY = "Differences found and named, but the corrected simulation does not fit"
 NOT_DECIDED = "No difference is sure, but likely: "
+BASIC = ("accel_bias", "accel_scale", "gyro_bias", "gyro_scale")
+"""Effects of which "no difference" says something in any case: where they were not compared, it is said."""
+
 NOT_WHOSE = "Differences found, not all of them surely the recording's"
 
 LINES = 14
@@ -40,6 +43,9 @@ def headline(answer: Mapping[str, Any]) -> str:
     likely = [one for one in answer["not_compared"] if one.get("probability", 0.0) > EVEN]
     if answer["verdict"] == "match" and likely:
         text = NOT_DECIDED + _some([noun(one["effect"], one["sensor"]) for one in likely])
+    elif answer["verdict"] == "match":
+        unknown = [noun(x["effect"], x["sensor"]) for x in answer["not_compared"] if x["effect"] in BASIC]
+        text += f" in what was compared; not compared: {_some(unknown, len(BASIC))}" if unknown else ""
     checks = f"{made} of {of} checks possible"
     return f"{text} ({checks})"
 

@@ -49,6 +49,17 @@ def test_a_likely_difference_is_named_where_none_is_sure(probability: float | No
     assert headline(said).startswith("No difference found") != likely
 
 
+def test_no_difference_names_the_bias_and_scale_that_were_not_compared() -> None:
+    said = answer("", "match") | {"findings": []}
+    assert headline(said) == "No difference found (9 of 10 checks possible)"
+    said["not_compared"] = [
+        {"effect": "accel_scale", "sensor": "accel", "reason": "the attitudes are too few or too alike"},
+        {"effect": "lever_arm", "sensor": "accel", "reason": "the phone does not turn"},
+    ]
+    text = "No difference found in what was compared; not compared: accelerometer scale and misalignment"
+    assert headline(said) == f"{text} (9 of 10 checks possible)"
+
+
 @pytest.mark.parametrize(
     ("fit", "says"),
     [
