@@ -52,7 +52,7 @@ def dead_zone(samples: Samples, sensor: str) -> Finding | None:
     width = float(np.median([zone.width for zone in zones.values()]))
     named, size = ", ".join(AXES[a] for a in zones), f"{width:.2g} {UNIT[sensor]}"
     say = f"Dead zone: the {NAME[sensor]} reads one constant value on {named} for inputs within {size} of it."
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "inputs that are nearly none")
     visits = [float(zone.visits) for zone in zones.values()]
     sizes = sized({"width": (width, UNIT[sensor]), "visits": (min(visits), "1")})
     seen = DirectEvidence(of_chance(-max(visits) * float(np.log(2.0)), 6.0))

@@ -11,7 +11,6 @@ from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, usual
 QUANTITIES = {
     "bandwidth": ("bandwidth",),
     "noise_heavy_tailed": ("excess_kurtosis",),
-    "accel_quantisation": ("step_over_noise",),
     "noise_unequal_axes": ("{sensor}_noise_plane", "{sensor}_noise_upright"),
 }
 """Effects of a sensor's noise that last as long as the recording, with the quantities that show them."""

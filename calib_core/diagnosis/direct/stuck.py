@@ -45,7 +45,7 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     chance = max(float(np.quantile(_shares(elsewhere, block), 0.9)), 1e-9)
     if chance > MOST_REPEATS or others.mean(axis=0).min() > 1.0 - MOVES:
         return None
-    where = Where(float(t[first]), float(t[last]), (0.0, 0.0), "values")
+    where = Where(float(t[first]), float(t[last]), (0.0, 0.0), "values that stand still")
     value = float(samples.xyz[first, axis])
     span = f"From {t[first]:.0f} to {t[last]:.0f} s"
     say = f"{span} the {NAME[sensor]}'s {AXES[axis]} axis is stuck at {value:.4g}."
