@@ -223,11 +223,10 @@ def _learn(
     t: float,
     settings: QualitySettings,
 ) -> Learnt:
-    """Learn by the thermometer, or by the charger where most rests have no temperature.
+    """Learn by the thermometer, or by the charger where no curve can follow the thermometer now.
 
     A term that follows the charger stays until one that follows the thermometer is taken up, and the other
-    way round a thermometer that fell silent is waited for. middle: (3,) the bias that the observations count
-    from.
+    way round. middle: (3,) the bias that the observations count from.
     """
     thermometer, charger = by_thermometer(memory), by_charger(memory)
     term = None if record is None else held_term(record.terms, sensor)
@@ -238,9 +237,14 @@ def _learn(
     if term is not None and charger.drives(term):
         learnt = learn_by(thermometer) if thermometer.mostly_known else None
         learnt = learnt if learnt is not None and learnt.change == TAKEN_UP else learn_by(charger)
+    elif term is None and not thermometer.mostly_known and charger.mostly_known:
+        learnt = learn_by(charger)
     else:
-        silent = term is None and not thermometer.mostly_known
-        learnt = learn_by(charger if silent and charger.mostly_known else thermometer)
+        learnt = learn_by(thermometer)
+        doubted = learnt.term is None and before is not None and before.unfollowed_since is not None
+        if charger.mostly_known and (thermometer.silent or learnt.doubt or doubted):
+            charged = learn_by(charger)
+            learnt = charged if charged.change == TAKEN_UP else learnt
     return _with_unseen(_with_unfollowed(learnt, thermometer, term=term, before=before, t=t), memory)
 
 

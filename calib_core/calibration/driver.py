@@ -37,6 +37,10 @@ _NEWEST = 2
 """Newest rests that must have doubtful readings for the thermometer to be doubted: one may be a slip."""
 
 
+_SILENT = 4
+"""Newest rests without a reading from which on a thermometer is no longer waited for."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Driver:
     """Temperatures of the rests kept: the thermometer's, or those that the charger stands in for.
@@ -61,6 +65,11 @@ class Driver:
     def mostly_known(self) -> bool:
         """Whether more than half of the rests have a reading."""
         return self.known.size > self.read.size / 2
+
+    @property
+    def silent(self) -> bool:
+        """Whether none of the newest rests has a reading."""
+        return not np.isfinite(self.read[-_SILENT:]).any()
 
     def drives(self, term: Term) -> bool:
         """Tell whether a term follows this."""

@@ -155,6 +155,16 @@ def test_a_thermometer_takes_over_once_it_knows_better() -> None:
     assert not record.forecast[GYRO].by_charger
 
 
+def test_the_charger_takes_over_where_a_thermometer_falls_silent_and_gives_way_when_it_tells_again() -> None:
+    events = plugged(4)
+    celsius = 22.0 + 8.0 * heat(events) + 3.0 * np.sin(T / 9000.0)
+    bias = np.outer(celsius - 22.0, FULL_RATE / 8.0)
+    heard = np.where((T > 20 * HOUR) & (T < 34 * HOUR), np.nan, celsius)
+    _, changes = followed(bias, events, 4, heard)
+    assert ["charging" in change for change in changes] == [False, True, False]
+    assert all(TAKEN_UP in change for change in changes)
+
+
 def lived(engine: Engine, rests: list[RestState], events: list[Charging], *, saved: bool = False) -> Engine:
     """Give an engine the rests of 30 hours, hour by hour, and ask it for a calibration after 20."""
     for hour in range(1, 31):
