@@ -21,7 +21,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import stages
 from stillcal.daemon.store.document import pretty
-from stillcal.daemon.system.files import input_name, short_name
+from stillcal.daemon.system.files import input_name, is_read_once, short_name
 from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import (
@@ -41,7 +41,7 @@ from stillcal.replay.diagnosis.residuals import residuals_csv
 from stillcal.replay.diagnosis.rest_table import diagnose_kept, diagnose_rests
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
-from stillcal.replay.formats.covariates import columns_there, read_covariates
+from stillcal.replay.formats.covariates import read_covariates
 from stillcal.replay.formats.daemon_state import is_daemon_state
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Recording
@@ -143,8 +143,8 @@ class _Asked(NamedTuple):
     "covariates",
     multiple=True,
     metavar="NAME",
-    help="A further column of TRACE (CSV), and of SIM where it has it, that a bias may follow; may be given"
-    " several times.",
+    help="A further column of TRACE's table, and of SIM's where it has it, that a bias may follow; may be"
+    " given several times.",
 )
 @reading_options()
 @quiet_option
@@ -315,9 +315,8 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     simulated = None
     if asked.simulated is not None:
         simulated = _read_simulation(asked, asked.simulated, show_stage, whole=whole)
-        logged = columns_there(asked.simulated, asked.covariates)
-        columns = _columns(asked.simulated_reading, asked.simulated, logged) if logged else {}
-        simulated = replace(simulated, covariates=columns)
+        if asked.covariates:
+            simulated = replace(simulated, covariates=_columns_there(asked, asked.simulated))
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else short_name(asked.phone)
@@ -355,9 +354,17 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
 
 def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, TimeSeries]:
     """Return further columns of a recording, by the time that its samples have."""
-    if not path.is_file():
-        raise TraceError(path, "--covariate needs a CSV file, to read it again", "save it as a file first")
-    return read_covariates(path, names, reading.open(path).first_file.time)
+    if is_read_once(path):
+        raise TraceError(path, "--covariate needs a file, to read it again", "save it as a file first")
+    return read_covariates(reading.open(path).first_file, names)
+
+
+def _columns_there(asked: _Asked, path: Path) -> dict[str, TimeSeries]:
+    """Return those of the covariates that the simulation has as columns."""
+    if is_read_once(path):
+        return {}
+    file = asked.simulated_reading.open(path).first_file
+    return read_covariates(file, [name for name in asked.covariates if name in file.columns])
 
 
 def _read_simulation(asked: _Asked, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:

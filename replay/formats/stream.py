@@ -20,7 +20,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
-from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap, TimeMap
+from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.tables.layout import lay_out, selection
 from stillcal.replay.formats.tables.table import EMPTY, Table
@@ -75,9 +75,14 @@ class SampleFile:
         return [text for _, text in self._key]
 
     @property
-    def time(self) -> TimeMap:
-        """Where the stamps are in the table, and in which unit."""
-        return self._map.time
+    def columns(self) -> list[str]:
+        """The names of the table's columns; none where they have no names."""
+        return list(self._table.names or [])
+
+    @property
+    def own_columns(self) -> set[str]:
+        """The names of those that the samples are made of."""
+        return {self.columns[place] for place in self._layout.wanted} if self.columns else set()
 
     @property
     def sensors(self) -> list[Sensor]:
@@ -141,6 +146,21 @@ class SampleFile:
         held_back = self._clock.rest()
         if held_back is not None:
             yield self._run(held_back)
+
+    def further(self, names: Sequence[str]) -> tuple[Array, Array]:
+        """Return the stamps (n,), s, and further columns (n, k) of `columns`; NaN where a cell is empty.
+
+        Raises TraceError at the first cell that is no number.
+        """
+        self._begin()
+        own = len(self._layout.wanted)
+        places = [*self._layout.wanted, *(self.columns.index(name) for name in names)]
+        stamps, values = [np.empty(0)], [np.empty((0, len(names)))]
+        for block in self._table.blocks(places, self._key):
+            stamps.append(self._stamps(block.values[:, :own], sum(len(t) for t in stamps)))
+            values.append(block.values[:, own:])
+        table = np.concatenate(values)
+        return np.concatenate(stamps), np.where(table == EMPTY, np.nan, table)
 
     def _check_finite(self, values: Array, lines: NDArray[np.int64]) -> None:
         """Raise TraceError for values that are not finite, and for empty cells that must have a number."""

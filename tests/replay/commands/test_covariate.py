@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 import stillcal
 from stillcal.calib_core.arrays import Array
@@ -102,7 +103,7 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
 
 
 def test_python_takes_the_column_as_values_or_with_times_of_its_own(log: Path) -> None:
-    (read,) = read_covariates(log, ["battery_v"]).values()
+    (read,) = read_covariates(open_trace(log).first_file, ["battery_v"]).values()
     recording = stillcal.load(log)
     answer = stillcal.diagnose(recording, covariates={"battery_v": (read.t, read.values)})
     assert [f["effect"] for f in answer.findings] == ["gyro_bias_battery_v"]
@@ -132,7 +133,7 @@ def test_values_that_cannot_be_used_are_refused(values: Any, fault: str) -> None
 def examined_with(path: Path, column: bool = True) -> Examination:
     """Return the examination of a log, with its column or without."""
     recording = open_trace(path).recording(path.name)
-    logged = read_covariates(path, ["battery_v"]) if column else {}
+    logged = read_covariates(open_trace(path).first_file, ["battery_v"]) if column else {}
     return examined(replace(recording, covariates=logged))
 
 
@@ -217,23 +218,50 @@ def test_a_cell_that_is_no_number_names_its_row(tmp_path: Path) -> None:
     path.write_text("\n".join(["t,ax,ay,az,load", *rows]) + "\n")
     code, text = run(path, "--covariate", "load")
     assert code == 2
-    assert "bad.csv:602: load is 'high', no finite number" in text
+    assert "bad.csv:602: column 'load' holds 'high'" in text and "name a column of numbers" in text
 
 
 @pytest.mark.parametrize("cell", ["wifi", "nan"])
-def test_a_column_without_numbers_names_columns_that_have_them(tmp_path: Path, cell: str) -> None:
+def test_a_column_without_numbers_names_the_further_ones(tmp_path: Path, cell: str) -> None:
     path = tmp_path / "modes.csv"
     rows = [f"{i / 50},0,0,9.8,{cell},{'nan' if i % 10 else i}" for i in range(1000)]
     path.write_text("\n".join(["t,ax,ay,az,mode,load", *rows]) + "\n")
     code, text = run(path, "--covariate", "mode")
     assert code == 2
-    assert "modes.csv: the column 'mode' holds no numbers; columns that do: load" in text
+    assert ("the column 'mode' holds no numbers" if cell == "nan" else "column 'mode' holds 'wifi'") in text
+    assert "name a column of numbers; further ones: mode, load" in text
 
 
 def test_a_cell_of_nan_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "sparse.csv"
     path.write_text("t,ax,ay,az,load\n0,0,0,9.8,3\n1,0,0,9.8,nan\n2,0,0,9.8,5\n")
-    assert read_covariates(path, ["load"])["load"].at(np.array([1.0])) == pytest.approx(4.0)
+    load = read_covariates(open_trace(path).first_file, ["load"])["load"]
+    assert load.at(np.array([1.0])) == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize("ending", ["parquet", "h5", "mat", "npz", "json"])
+def test_a_column_is_read_from_every_kind_of_table(tmp_path: Path, ending: str) -> None:
+    rng, t = np.random.default_rng(3), np.arange(300) / 50.0
+    table = {"t": t, "ax": rng.normal(0, 0.01, 300), "ay": rng.normal(0, 0.01, 300)}
+    table |= {"az": 9.81 + rng.normal(0, 0.01, 300), "load": np.where(np.arange(300) % 5, np.nan, t)}
+    path = tmp_path / f"log.{ending}"
+    if ending == "parquet":
+        arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+        parquet.write_table(arrow.table(table), path)
+    elif ending == "h5":
+        with pytest.importorskip("h5py").File(path, "w") as file:
+            for name, column in table.items():
+                file[name] = column
+    elif ending == "mat":
+        savemat(path, table)
+    elif ending == "npz":
+        np.savez(path, **table)
+    else:
+        rows = [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
+        path.write_text(json.dumps([{k: v for k, v in row.items() if v == v} for row in rows]))
+    load = read_covariates(open_trace(path).first_file, ["load"])["load"]
+    np.testing.assert_allclose(load.t, t[::5])
+    np.testing.assert_allclose(load.values, t[::5])
 
 
 def test_a_column_is_read_over_the_time_of_a_recognised_log(tmp_path: Path) -> None:
@@ -242,7 +270,7 @@ def test_a_column_is_read_over_the_time_of_a_recognised_log(tmp_path: Path) -> N
     rows = [f"{20 * i + 5000},0.1,0.2,9.8,{i / 10 if i % 5 == 0 else ''}" for i in range(500)]
     path.write_text("\n".join(["timestamp,ax,ay,az,load", *rows]) + "\n")
     opened = open_trace(path)
-    load = read_covariates(path, ["load"], opened.first_file.time)["load"]
+    load = read_covariates(opened.first_file, ["load"])["load"]
     samples = opened.recording("foreign").accelerometer
     np.testing.assert_allclose(load.t, samples.t[::5])
     np.testing.assert_allclose(load.at(samples.t[50:51]), 5.0)
@@ -257,5 +285,5 @@ def test_dates_are_read_as_the_samples_dates_are(tmp_path: Path) -> None:
     rows = [f"{stamp},0.1,0.2,9.8,{i}" for i, stamp in enumerate(stamps)]
     path.write_text("\n".join(["time,ax,ay,az,load", *rows]) + "\n")
     opened = open_trace(path)
-    load = read_covariates(path, ["load"], opened.first_file.time)["load"]
+    load = read_covariates(opened.first_file, ["load"])["load"]
     np.testing.assert_allclose(load.t, opened.recording("dated").accelerometer.t)
