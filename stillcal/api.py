@@ -262,8 +262,9 @@ def apply(recording: Source, calibration: Calibration | PathLike, *, smooth: boo
     opened = load(recording)
     known = calibration if isinstance(calibration, Calibration) else Calibration.read(calibration)
     charger = Charger().with_events(opened.events)
+    started = float(opened.accelerometer.t[0]) if len(opened.accelerometer) else None
     accelerometer, gyroscope = correct_both(
-        known.record, opened.accelerometer, opened.gyroscope, charger=charger
+        known.record, opened.accelerometer, opened.gyroscope, charger=charger, started=started
     )
     claims = opened.claims.without_counts()
     if smooth:

@@ -25,15 +25,13 @@ from stillcal.calib_core.calibration.acceptance import (
     flipped_share,
     sums_by_block,
 )
+from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.driver import Driver, by_charger, by_thermometer
-from stillcal.calib_core.calibration.record import (
-    CalibrationRecord,
-    Evidence,
-    Term,
-    TermParameter,
-)
-from stillcal.calib_core.calibration.terms import BY_CHARGING, POWER_NAMES, force_terms, polynomial
+from stillcal.calib_core.calibration.record import CalibrationRecord, Evidence
+from stillcal.calib_core.calibration.terms import drivers_at, offsets, polynomial, terms_uncertainty
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
@@ -144,7 +142,8 @@ def learn_gyroscope(
     memory = memory.where(np.asarray(np.isfinite(memory.rate).all(axis=1)))
     if not len(memory):
         return None
-    rate = memory.rate - force_terms(record, memory.force)
+    memory = _without_others(memory, record, Sensor.GYROSCOPE)
+    rate = memory.rate
     middle = frozen(np.median(rate, axis=0))
     level, level_sd = np.ones((len(memory), 1)), np.array([_RATE_SPREAD])
     sd = memory.rate_sd.mean(axis=1)
@@ -164,6 +163,8 @@ def learn_accelerometer(
     """
     if len(memory) < LEAST_RESTS:
         return None
+    if record is not None:
+        memory = _without_others(memory, record, Sensor.ACCELEROMETER)
     value, level, towards = _norms(np.zeros((len(memory), 3)), memory, model)
     level_sd = _level_spread(record, value)
     sd = np.linalg.norm(towards * memory.force_sd, axis=1)
@@ -172,6 +173,18 @@ def learn_accelerometer(
     seen = Observations(*known, linear=linear, spans=Spans(memory.t))
     middle = model.bias
     return _learn(Sensor.ACCELEROMETER, seen, memory, middle=middle, record=record, t=t, settings=settings)
+
+
+def _without_others(memory: Memory, record: CalibrationRecord, sensor: Sensor) -> Memory:
+    """Return rests without those terms of a sensor that are not learnt here, as uncertain as these are."""
+    others = replace(record, terms=tuple(term for term in record.terms if not is_thermal(term, sensor)))
+    at = drivers_at(record, sensor, memory)
+    offset, doubt = offsets(others, sensor, at), terms_uncertainty(others, sensor, at)
+    if sensor is Sensor.GYROSCOPE:
+        less = frozen(memory.rate - offset)
+        return replace(memory, rate=less, rate_sd=frozen(np.hypot(memory.rate_sd, doubt)))
+    less = frozen(memory.force - offset)
+    return replace(memory, force=less, force_sd=frozen(np.hypot(memory.force_sd, doubt)))
 
 
 def _norms(biases: Array, memory: Memory, model: SensorModel) -> tuple[Array, Array, Array]:

@@ -35,6 +35,7 @@ from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope import fit as gyroscope
 from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests, rotation_admitted, update_bias
 from stillcal.calib_core.gyroscope.fit import GyroscopeFit, GyroscopeSettings, Parameters
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState, attitude_labels, force_uncertainties, forces
 from stillcal.calib_core.streams.samples import Sensor
@@ -105,11 +106,13 @@ def fit_candidate(
     prior = SOUND_PHONES if _is_first(known) else None
     fit = fit_accelerometer(steady.held, gravity, settings.accelerometer, prior=prior)
     change = find_change(fit, steady.held)
-    gyro = fit_gyroscope(pool, fit.model, gravity.value, settings.gyroscope)
+    gyro = fit_gyroscope(replace(pool, turns=steady.turns), fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
         accelerometer=_accelerometer_record(fit, change, forces(steady.rests)),
-        gyroscope=None if gyro is None else _at_reference(gyroscope_record(gyro, t), steady, known),
+        gyroscope=None
+        if gyro is None
+        else _at_reference(gyroscope_record(gyro, t, pool.turns), steady, known),
         gravity=gravity,
         fitted_at=t,
         validity=validity_of(pool.rests),
@@ -149,9 +152,13 @@ def _usable(known: CalibrationRecord | None, pool: Pool) -> CalibrationRecord | 
 
 
 def _at_reference(part: GyroscopeRecord, steady: Pool, known: CalibrationRecord | None) -> GyroscopeRecord:
-    """Return a gyroscope's record with the bias at its temperature term's reference, where it has one."""
+    """Return a gyroscope's record with the bias that its terms count from, where it has any.
+
+    The fit itself takes off what force adds.
+    """
     terms = () if known is None else known.terms
-    if not any(term.sensor == Sensor.GYROSCOPE and "slope" in term.parameters for term in terms):
+    by_force = "gyro_g_sensitivity"
+    if not any(term.sensor == Sensor.GYROSCOPE and term.effect != by_force for term in terms):
         return part
     return replace(part, bias=bias_from_rests(steady.rests).bias)
 
@@ -182,8 +189,8 @@ def fit_accelerometer(
     )
 
 
-def gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
-    """Return the record of a gyroscope fit made at sample time t (s).
+def gyroscope_record(fit: GyroscopeFit, t: float, turns: Sequence[RotationSegment] = ()) -> GyroscopeRecord:
+    """Return the record of a gyroscope fit to turns, made at sample time t (s).
 
     The covariance of the bias is that of a single rest: the bias wanders on between rests.
     """
@@ -201,7 +208,26 @@ def gyroscope_record(fit: GyroscopeFit, t: float) -> GyroscopeRecord:
         rotation_admitted=_nan_where_unbounded(fit.bias.undetected_rotation_bound),
         missing=fit.missing,
         zeroed_at=t,
+        turn_powers=_turn_powers(turns) if n_segments else None,
     )
+
+
+_LEAST_TURNED = 0.1
+"""rad^2, of all turns about an axis: less shows nothing of its scale."""
+
+
+def _turn_powers(turns: Sequence[RotationSegment]) -> Array:
+    """Return the integrals of the rate's square and cube, by those of the rate: a regression over turns."""
+    angles = np.zeros((3, len(turns), 3))
+    for k, turn in enumerate(turns):
+        assert turn.before.rate is not None and turn.after.rate is not None, "a segment has both"
+        rate = turn.rates - 0.5 * (turn.before.rate + turn.after.rate)
+        for power in (1, 2, 3):
+            own = rate**power
+            angles[power - 1, k] = 0.5 * np.diff(turn.t) @ (own[1:] + own[:-1])
+    turned = (angles[0] ** 2).sum(axis=0)
+    by = (angles[1:] * angles[0]).sum(axis=1) / np.maximum(turned, _LEAST_TURNED)
+    return frozen(np.where(turned >= _LEAST_TURNED, by, 0.0))
 
 
 def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> CalibrationRecord | None:

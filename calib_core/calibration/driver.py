@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.record import Term
-from stillcal.calib_core.calibration.terms import BY_CHARGING, lag_of, polynomial
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import Term, lag_of
+from stillcal.calib_core.calibration.terms import polynomial
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S
 from stillcal.calib_core.temperature.forecast import Forecast, plausible, thermometer_step

@@ -33,6 +33,7 @@ from stillcal.calib_core.calibration.bias_curve import (
     learn_accelerometer,
     told_curve,
 )
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.known_faces import inherit_rotation
 from stillcal.calib_core.calibration.record import (
@@ -42,7 +43,7 @@ from stillcal.calib_core.calibration.record import (
     Evidence,
     Validity,
 )
-from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
+from stillcal.calib_core.calibration.terms import drivers_at, offsets
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import ATTITUDE_ANGLE, attitude_labels
@@ -286,9 +287,7 @@ def _stepped(
 
 def _residuals(record: CalibrationRecord, part: AccelerometerRecord, memory: Memory) -> Array:
     """Return the calibrated norm of every rest less local gravity, (n,) m/s^2, terms included."""
-    offset = bias_terms(
-        record, Sensor.ACCELEROMETER, memory.celsius, None, memory.lagged, charged=memory.charged
-    )
+    offset = offsets(record, Sensor.ACCELEROMETER, drivers_at(record, Sensor.ACCELEROMETER, memory))
     norm = np.linalg.norm(part.model.apply(memory.force - offset), axis=1)
     return np.asarray(norm - memory.gravity)
 

@@ -73,7 +73,7 @@ def calibrate_faces(
         reason += f"; {_disagreeing(fit.odd)} ({', '.join(FACE_WORDS[odd.face] for odd in fit.odd)})"
     return CalibrationRecord(
         accelerometer=_accelerometer_record(fit, len(raw), gravity, float(local.mean())),
-        gyroscope=None if gyro is None else gyroscope_record(gyro, t),
+        gyroscope=None if gyro is None else gyroscope_record(gyro, t, pool.turns),
         gravity=gravity,
         fitted_at=t,
         validity=validity_of(pool.rests),

@@ -16,11 +16,14 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer.parameters import BIAS, DIAGONAL, LOWER, SCALE
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.corrections.catalogue import check_terms
+from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.codec import digest, floats, jsonable
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S, FULL_K
 from stillcal.calib_core.temperature.forecast import Forecast
 
 How = Literal["calibration", "zeroing", "following", "terms", "rollback", "migration"]
@@ -166,7 +169,9 @@ class GyroscopeRecord(SensorRecord):
     rad, the same with the nominal scale; the rests' bias is taken off in both. n_turns: number of rotation
     segments used. rotation_admitted: (3,) rad/s, bound on undetected rotation: the error that slow rotation
     in the rests may have put into the bias; NaN where nothing bounds it. missing: rotations that a larger
-    model needs. zeroed_at: s, when the bias was last measured at rest.
+    model needs. zeroed_at: s, when the bias was last measured at rest. turn_powers: (2, 3) rad/s and
+    (rad/s)^2, by how much an error of the rate by its square, and by its cube, makes the turns larger, per
+    radian and unit of that error; None where no turns were used, or an earlier version fitted them.
     """
 
     rms_nominal: float | None = None
@@ -174,8 +179,15 @@ class GyroscopeRecord(SensorRecord):
     rotation_admitted: Array | None = None
     missing: tuple[str, ...] = ()
     zeroed_at: float | None = None
+    turn_powers: Array | None = None
     unit: Literal["rad/s"] = "rad/s"
     residual_unit: Literal["rad"] = "rad"
+
+    def __post_init__(self) -> None:
+        SensorRecord.__post_init__(self)
+        powers = self.turn_powers
+        if powers is not None and (powers.shape != (2, 3) or not np.isfinite(powers).all()):
+            raise ValueError(f"turn_powers has shape {powers.shape}: expected finite numbers, (2, 3)")
 
     @property
     def degrees_of_freedom(self) -> int:
@@ -188,7 +200,8 @@ class StateRecord:
     """A rest that a calibration was fitted to.
 
     specific_force, force_uncertainty, rate, rate_uncertainty: (3,), raw, as in RestState. residual: m/s^2,
-    norm of the calibrated force less gravity. attitude: number of its attitude, from 0.
+    norm of the calibrated force less gravity. attitude: number of its attitude, from 0. charging: 1 on the
+    charger and 0 off it, None where unknown.
     """
 
     t_start: float
@@ -201,6 +214,7 @@ class StateRecord:
     temperature: float | None = None
     residual: float | None = None
     attitude: int | None = None
+    charging: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("specific_force", "force_uncertainty", "rate", "rate_uncertainty"):
@@ -222,7 +236,33 @@ class StateRecord:
             temperature=rest.temperature,
             residual=residual,
             attitude=attitude,
+            charging=_charging(rest),
         )
+
+    def rest(self) -> RestState:
+        """Return the rest again, with what is kept of it."""
+        lagged = np.full(len(CHARGER_LAGS_S), np.nan)
+        on = np.nan if self.charging is None else self.charging * FULL_K
+        return RestState(
+            t_start=self.t_start,
+            t_end=self.t_end,
+            n=self.n,
+            specific_force=self.specific_force,
+            force_sd=self.force_uncertainty,
+            force_uncertainty=self.force_uncertainty,
+            level=0.0,
+            rate=self.rate,
+            rate_sd=self.rate_uncertainty,
+            rate_uncertainty=self.rate_uncertainty,
+            temperature=self.temperature,
+            charged=np.concatenate(([on], lagged)),
+        )
+
+
+def _charging(rest: RestState) -> float | None:
+    """Return whether a rest was on the charger, None where unknown."""
+    known = rest.charged is not None and bool(np.isfinite(rest.charged[0]))
+    return float(rest.charged[0] / FULL_K) if known and rest.charged is not None else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,35 +294,12 @@ class Provenance:
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class TermParameter:
-    """One parameter of a term. value: any shape, in `unit`. ci95: value's shape + (2,), None if unknown."""
-
-    value: Array
-    unit: str
-    ci95: Array | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
-class Term:
-    """An effect beyond the affine model, such as a bias that follows temperature.
-
-    effect: its name in the diagnosis. reference: the values that the parameters count from, such as
-    {"temperature": 25.0} in degC.
-    """
-
-    effect: str
-    sensor: Sensor
-    parameters: dict[str, TermParameter]
-    reference: dict[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class CalibrationRecord:
     """A calibration of a phone: either sensor or both, with all that is needed to judge and use it.
 
     fitted_at: s, sample time of the fit, None where unknown. forecast: by sensor, how uncertain its bias is
     at other times and temperatures, where that was learnt. Raises ValueError where both sensors are missing
-    or gravity is one that no place on earth has.
+    or gravity is one that no place on earth has, or a term is no sound one of its effect.
     """
 
     accelerometer: AccelerometerRecord | None = None
@@ -302,6 +319,7 @@ class CalibrationRecord:
         if self.gravity is not None:
             _require_within("gravity.value", self.gravity.value, 9.7, 9.9)
             _require_within("gravity.uncertainty", self.gravity.uncertainty, 0.0, 0.1)
+        check_terms(self.terms)
 
     @property
     def provisional(self) -> bool:
@@ -313,14 +331,17 @@ class CalibrationRecord:
         """The calibration's identifier: twelve hex digits of the digest of its values.
 
         Acceptance and provenance do not enter, so that a live run and its replay give the same id; a prior
-        does where there is one, so that older calibrations keep their ids.
+        does where there is one, and the speed of turns does not, so that older calibrations keep their ids.
         """
         accelerometer = jsonable(self.accelerometer)
         if accelerometer is not None and not accelerometer["with_prior"]:
             del accelerometer["with_prior"]
+        gyroscope = jsonable(self.gyroscope)
+        if gyroscope is not None:
+            del gyroscope["turn_powers"]
         values = {
             "accelerometer": accelerometer,
-            "gyroscope": self.gyroscope,
+            "gyroscope": gyroscope,
             "gravity": self.gravity,
             "fitted_at": self.fitted_at,
             "terms": self.terms,

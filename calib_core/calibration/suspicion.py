@@ -16,7 +16,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.drift_check import norm_uncertainty
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.calibration.terms import bias_terms, force_terms
+from stillcal.calib_core.calibration.terms import drivers_at, offsets, terms_uncertainty
 from stillcal.calib_core.static.rest import directions
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.memory import Memory
@@ -105,9 +105,11 @@ def innovation(record: CalibrationRecord, sensor: Sensor, rest: Memory) -> Innov
         return None
     forecast = record.forecast.get(str(sensor))
     white = 0.0 if forecast is None else forecast.white
-    offset = bias_terms(record, sensor, rest.celsius, None, rest.lagged, charged=rest.charged)
+    at = drivers_at(record, sensor, rest)
+    offset = offsets(record, sensor, at)
+    stated = np.hypot(stated, np.atleast_2d(terms_uncertainty(record, sensor, at))[0])
     if sensor is Sensor.GYROSCOPE:
-        missed = (rest.rate - part.bias - offset - force_terms(record, rest.force))[0]
+        missed = (rest.rate - part.bias - offset)[0]
         sd = np.sqrt(stated**2 + rest.rate_sd[0] ** 2 + white**2)
         return Innovation(missed, sd, np.eye(3)) if np.isfinite(missed).all() else None
     return _of_norm(record, rest, offset, stated, white)

@@ -1,69 +1,39 @@
-"""Terms beyond the affine model: taken from a diagnosis into a calibration, and applied to readings.
+"""Terms beyond the affine model, applied to readings and rests.
 
-Two kinds come from a diagnosis: a bias that follows the temperature, and a gyroscope's sensitivity to force
-(g-sensitivity). In a diagnosis a slope counts from a temperature of its own. Here it counts from the mean
-temperature of the rests that the calibration was fitted to, because its bias holds there. A temperature term
-that the daemon learnt itself (bias_curve.py) is a polynomial, and knows the span that it was learnt at. A
-third kind is learnt where there is no thermometer: a bias that follows the heat of charging, by as much as
-its amplitude once that has come in full.
+A term is kept as the name of its effect, parameters, and what these count from (corrections/term.py). What
+the effect does to readings, its class says (corrections/catalogue.py).
 
-calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force)
+calibrated = scale @ (raw - bias - offsets of the terms)
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError, Term, TermParameter
+from stillcal.calib_core.calibration.corrections.base import Correction, Drivers
+from stillcal.calib_core.calibration.corrections.bias_temperature import BiasTemperature
+from stillcal.calib_core.calibration.corrections.catalogue import CORRECTIONS
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING, ChargingHeat
+from stillcal.calib_core.calibration.corrections.term import Term, lag_of
+from stillcal.calib_core.calibration.record import CalibrationRecord, NotCalibratedError
 from stillcal.calib_core.calibration.rest_pool import Pool
-from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
-from stillcal.calib_core.temperature.charger import FULL_K, Charger, followed
-from stillcal.calib_core.temperature.forecast import PLAUSIBLE_K
-from stillcal.calib_core.temperature.thermometer import Thermometer, felt
+from stillcal.calib_core.temperature.charger import Charger
+from stillcal.calib_core.temperature.memory import Memory
+from stillcal.calib_core.temperature.thermometer import Thermometer
 
 NO_READINGS = Thermometer()
 NO_CHARGER = Charger()
 
-_KINDS: dict[str, tuple[Sensor, str, tuple[int, ...]]] = {
-    "accel_bias_temperature": (Sensor.ACCELEROMETER, "slope", (3,)),
-    "gyro_bias_temperature": (Sensor.GYROSCOPE, "slope", (3,)),
-    "gyro_g_sensitivity": (Sensor.GYROSCOPE, "matrix", (3, 3)),
-}
-"""Effect -> its sensor, the name of its parameter and the shape of that."""
-
-APPLIED = tuple(_KINDS)
-"""Effects of a diagnosis that `correct` applies; it may find others, which cannot be taken over."""
-
-BY_CHARGING = "thermal_latent"
-"""The effect of a term that follows the charger; of either sensor."""
-
-
-def with_terms(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> CalibrationRecord:
-    """Return the calibration with terms for those findings (of `diagnose --json`) that can be applied.
-
-    A finding replaces an earlier term of the same effect. Raises NotSupported where none of the findings can
-    be applied, or where a slope has no temperature to count from; ValueError on a malformed finding.
-    """
-    fresh = terms_of(record, findings)
-    if not fresh:
-        raise NotSupported(
-            f"no finding can be applied: only {', '.join(APPLIED)} can, where no other effect fits as well"
-        )
-    others = [term for term in record.terms if term.effect not in fresh]
-    return replace(record, terms=(*others, *fresh.values()))
-
-
-def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> dict[str, Term]:
-    """Return the terms, by effect, of those findings that can be applied; errors as `with_terms`."""
-    return {f["effect"]: _term(record, f) for f in findings if f["effect"] in _KINDS and not _ambiguous(f)}
+_ROUNDS = 6
+"""Times that a reading is corrected by what its own corrected value gives: an error of a part in ten is left
+at a part in a million."""
 
 
 def correct(
@@ -72,19 +42,27 @@ def correct(
     force: Array | None = None,
     thermometer: Thermometer = NO_READINGS,
     charger: Charger = NO_CHARGER,
+    *,
+    started: float | None = None,
 ) -> Samples:
-    """Correct a run of samples by the model and by those terms whose temperature, charger or force is known.
+    """Correct a run of samples by the model and by those terms whose drivers are known.
 
     force: (n, 3) m/s^2, the calibrated specific force at these samples' times, or None. The temperature comes
     with the samples; thermometer: its readings before them. charger: its changes up to the last of them.
-    Raises NotCalibratedError where the record has no part of their sensor.
+    started: s, when the sensors were switched on, None where unknown. Raises NotCalibratedError where the
+    record has no part of their sensor.
     """
     celsius = samples.temperature
     late = celsius is not None and any(lag_of(term) for term in record.terms)
-    lagged = thermometer.course(samples.t, celsius) if late and celsius is not None else None
-    follows = any(term.effect == BY_CHARGING for term in record.terms)
-    charged = charger.course(samples.t) if follows else None
-    offset = bias_terms(record, samples.sensor, celsius, force, lagged, charged=charged)
+    at = Drivers(
+        celsius=celsius,
+        lagged=thermometer.course(samples.t, celsius) if late and celsius is not None else None,
+        charged=charger.course(samples.t) if _has_terms(record, samples.sensor) else None,
+        force=force,
+        age=None if started is None else samples.t - started,
+        raw=samples.xyz,
+    )
+    offset = offsets(record, samples.sensor, at)
     return record.model(samples.sensor).correct(replace(samples, xyz=samples.xyz - offset))
 
 
@@ -94,18 +72,20 @@ def correct_both(
     gyroscope: Samples | None,
     thermometer: Thermometer = NO_READINGS,
     charger: Charger = NO_CHARGER,
+    *,
+    started: float | None = None,
 ) -> tuple[Samples, Samples | None]:
     """Correct both sensors' samples; a sensor that the record holds nothing of stays as it is.
 
     The gyroscope's terms that follow force take it from the corrected accelerometer, interpolated to the
     gyroscope's times; those that follow temperature take the accelerometer's where it has none of its own.
-    thermometer: its readings before them. charger: its changes up to the last of them.
+    Further arguments as in `correct`.
     """
-    accel = _corrected(record, accelerometer, None, thermometer, charger)
+    accel = _corrected(record, accelerometer, None, thermometer, charger, started=started)
     if gyroscope is None:
         return accel, None
     force = interpolated(accel, gyroscope.t)
-    gyro = _corrected(record, warmed(gyroscope, accelerometer), force, thermometer, charger)
+    gyro = _corrected(record, warmed(gyroscope, accelerometer), force, thermometer, charger, started=started)
     return accel, replace(gyro, temperature=gyroscope.temperature)
 
 
@@ -115,11 +95,26 @@ def _corrected(
     force: Array | None,
     thermometer: Thermometer,
     charger: Charger,
+    *,
+    started: float | None,
 ) -> Samples:
     try:
-        return correct(record, samples, force, thermometer, charger)
+        return correct(record, samples, force, thermometer, charger, started=started)
     except NotCalibratedError:
         return samples
+
+
+def _has_terms(record: CalibrationRecord, sensor: Sensor) -> bool:
+    return any(term.sensor == sensor for term in record.terms)
+
+
+def _known(record: CalibrationRecord, sensor: Sensor) -> list[tuple[Correction, Term]]:
+    """Return a sensor's terms that can be applied, each with its correction."""
+    return [
+        (CORRECTIONS[term.effect], term)
+        for term in record.terms
+        if term.sensor == sensor and term.effect in CORRECTIONS
+    ]
 
 
 def bias_terms(
@@ -133,101 +128,130 @@ def bias_terms(
 ) -> Array:
     """Return what the terms add to the bias, (n, 3) in raw units, or (3,) zeros where no term applies.
 
-    temperature: (n,) degC, NaN where unknown, or None. force: (n, 3) m/s^2, calibrated, or None. lagged:
-    (n, k) degC, of sensors that follow the thermometer late, as thermometer.py has it, or None. charged:
-    (n, 1 + k) K, as charger.py has it, or None. Outside the temperatures that the calibration was measured
-    at, a slope is extrapolated as a straight line.
+    The arguments are drivers (corrections/base.py), None where unknown.
     """
-    offset = np.zeros(3)
-    for term in record.terms:
-        if term.sensor != sensor or term.effect not in (*_KINDS, BY_CHARGING):
-            continue
-        if "slope" in term.parameters and temperature is not None:
-            offset = offset + polynomial(term, felt(temperature, lagged, lag_of(term)))
-        elif "matrix" in term.parameters and force is not None:
-            offset = offset + force @ term.parameters["matrix"].value.T
-        elif term.effect == BY_CHARGING and charged is not None:
-            offset = offset + polynomial(term, followed(charged, lag_of(term)))
-    return offset
+    return offsets(record, sensor, Drivers(celsius=temperature, force=force, lagged=lagged, charged=charged))
 
 
-def lag_of(term: Term) -> float:
-    """Return with what lag (s) a term follows the thermometer or the charger; 0 for none."""
-    return term.reference.get("lag_s", 0.0)
+def offsets(record: CalibrationRecord, sensor: Sensor, at: Drivers) -> Array:
+    """Return what the terms add to the readings, (n, 3) in raw units, or (3,) zeros where no term applies.
 
-
-POWER_NAMES = ("slope", "quadratic", "cubic")
-"""A temperature term's parameters: per K, K^2 and K^3."""
-
-_BEYOND = 0.25
-_BEYOND_K = 1.0
-
-
-def followed_between(low: float, high: float) -> tuple[float, float]:
-    """Return the temperatures, degC, beyond which a curve learnt from `low` to `high` stays as it is."""
-    beyond = _BEYOND * (high - low) + _BEYOND_K
-    return low - beyond, high + beyond
-
-
-def learnt_between(low: float, high: float) -> tuple[float, float]:
-    """Return the span, degC, of a curve followed from `low` to `high`: `followed_between` turned round."""
-    beyond = (_BEYOND * (high - low) + _BEYOND_K) / (1.0 + 2.0 * _BEYOND)
-    return low + beyond, high - beyond
-
-
-def polynomial(term: Term, temperature: Array) -> Array:
-    """Return a temperature term's bias at temperatures (n,), degC: (n, 3); zero where they are unknown.
-
-    The temperatures are those of the sensor, which may follow the thermometer late (thermometer.felt).
-
-    A term that knows the span of temperatures that it was learnt at is followed beyond them by a quarter of
-    the span and 1 K at most; there it stays as it is. Beyond the span by more than the span and 10 K the
-    thermometer is doubted, and the temperature taken for unknown (forecast.plausible). For a term that
-    follows the charger they are the readings (n,) K that it stands in for (charger.py).
+    A term whose driver is unknown adds nothing. Terms that follow the reading itself are solved for, and add
+    nothing where `at` has no raw readings: they are no part of the bias. Outside the temperatures that the
+    calibration was measured at, a slope is extrapolated as a straight line.
     """
-    if term.effect == BY_CHARGING:
-        return np.nan_to_num(temperature / FULL_K)[:, None] * term.parameters["amplitude"].value
-    low, high = (term.reference.get(f"temperature_{end}") for end in ("min", "max"))
-    if low is not None and high is not None:
-        reach = high - low + PLAUSIBLE_K
-        doubted = (temperature < low - reach) | (temperature > high + reach)
-        temperature = np.where(doubted, np.nan, np.clip(temperature, *followed_between(low, high)))
-    warmer = np.nan_to_num(temperature - term.reference["temperature"])
-    total = np.zeros((len(warmer), 3))
-    for power, name in enumerate(POWER_NAMES, start=1):
-        if name in term.parameters:
-            total = total + warmer[:, None] ** power * term.parameters[name].value
+    known = _known(record, sensor)
+    bias = _sum([pair for pair in known if not pair[0].of_reading], at)
+    of_reading = [pair for pair in known if pair[0].of_reading]
+    if not of_reading or at.raw is None:
+        return bias
+    reading = at.raw - _bias(record, sensor) - bias
+    own = np.zeros(3)
+    for _ in range(_ROUNDS):
+        own = _sum(of_reading, replace(at, reading=reading - own))
+    return bias + own
+
+
+def _sum(known: list[tuple[Correction, Term]], at: Drivers) -> Array:
+    total = np.zeros(3)
+    for correction, term in known:
+        offset = correction.offset(term, at)
+        if offset is not None:
+            total = total + np.nan_to_num(offset)
     return total
 
 
-def compensated(pool: Pool, record: CalibrationRecord) -> Pool:
-    """Return a pool whose rests have a record's terms taken off their means; turns stay as they are.
+def _bias(record: CalibrationRecord, sensor: Sensor) -> Array:
+    try:
+        return record.model(sensor).bias
+    except NotCalibratedError:
+        return np.zeros(3)
+
+
+def terms_uncertainty(record: CalibrationRecord, sensor: Sensor, at: Drivers) -> Array:
+    """Return the standard uncertainty, (n, 3) or (3,), that a sensor's terms leave in a reading.
+
+    It is that of their parameters, and of a term whose driver is unknown that of the effect as a whole. A
+    bias that was learnt has its forecast for this; such terms add nothing. A reading `at.raw` counts for
+    terms that follow it.
+    """
+    reading = None if at.raw is None else at.raw - _bias(record, sensor)
+    squares = np.zeros(3)
+    for correction, term in _known(record, sensor):
+        if not correction.has_forecast:
+            squares = squares + correction.uncertainty(term, replace(at, reading=reading)) ** 2
+    return np.sqrt(squares)
+
+
+def polynomial(term: Term, temperature: Array) -> Array:
+    """Return the bias of a term that is learnt, at a sensor's own temperatures (n,), degC: (n, 3).
+
+    For a term that follows the charger they are the readings (n,) K that it stands in for (charger.py). Zero
+    where they are unknown.
+    """
+    if term.effect == BY_CHARGING:
+        return ChargingHeat.of_heat(term, temperature)
+    return BiasTemperature.of_temperature(term, temperature)
+
+
+def compensated(pool: Pool, record: CalibrationRecord, started: float | None = None) -> Pool:
+    """Return a pool whose rests have a record's terms taken off their means.
 
     The bias of the rests is then that at the terms' reference temperature and without force. Rests of unknown
-    temperature keep what depends on it.
+    temperature keep what depends on it. Turns keep what depends on temperature and force, for their fit takes
+    that from the rests around them; terms that follow the rate itself are taken off. started: s, when the
+    sensors were switched on, None where unknown.
     """
     if not record.terms:
         return pool
-    return replace(pool, held=tuple(replace(h, rest=_compensated(h.rest, record)) for h in pool.held))
+    held = tuple(replace(h, rest=_compensated(h.rest, record, started)) for h in pool.held)
+    return Pool(held, tuple(_compensated_turn(turn, record) for turn in pool.turns))
 
 
-def _compensated(rest: RestState, record: CalibrationRecord) -> RestState:
-    at = None if rest.temperature is None else np.array([rest.temperature])
-    charged = None if rest.charged is None else rest.charged[None]
-    by_temperature = bias_terms(record, Sensor.ACCELEROMETER, at, None, rest.lagged, charged=charged)
-    force = rest.specific_force - np.ravel(by_temperature)
+def _compensated(rest: RestState, record: CalibrationRecord, started: float | None) -> RestState:
+    at = Drivers(
+        celsius=None if rest.temperature is None else np.array([rest.temperature]),
+        lagged=rest.lagged,
+        charged=None if rest.charged is None else rest.charged[None],
+        age=None if started is None else np.array([0.5 * (rest.t_start + rest.t_end) - started]),
+        raw=rest.specific_force[None],
+    )
+    force = rest.specific_force - np.ravel(offsets(record, Sensor.ACCELEROMETER, at))
     if rest.rate is None:
         return msgspec.structs.replace(rest, specific_force=frozen(force))
-    by_temperature = bias_terms(record, Sensor.GYROSCOPE, at, None, rest.lagged, charged=charged)
-    rate = rest.rate - np.ravel(by_temperature) - force_terms(record, force[None])[0]
+    by_force = replace(at, force=_calibrated(record, force[None]), raw=rest.rate[None])
+    rate = rest.rate - np.ravel(offsets(record, Sensor.GYROSCOPE, by_force))
     return msgspec.structs.replace(rest, specific_force=frozen(force), rate=frozen(rate))
 
 
-def force_terms(record: CalibrationRecord, raw: Array) -> Array:
-    """Return what force adds to the gyroscope's bias at rests of raw force (n, 3) m/s^2: (n, 3) rad/s."""
+def _compensated_turn(turn: RotationSegment, record: CalibrationRecord) -> RotationSegment:
+    """Return a turn without what follows the rate itself."""
+    if not any(correction.of_reading for correction, _ in _known(record, Sensor.GYROSCOPE)):
+        return turn
+    temperatures = [r.temperature for r in (turn.before, turn.after) if r.temperature is not None]
+    celsius = np.full(len(turn.t), np.mean(temperatures)) if temperatures else None
+    rows = Drivers(celsius=celsius)
+    bias = offsets(record, Sensor.GYROSCOPE, rows)
+    offset = offsets(record, Sensor.GYROSCOPE, replace(rows, raw=turn.rates))
+    return replace(turn, rates=frozen(turn.rates - (offset - bias)))
+
+
+def _calibrated(record: CalibrationRecord, raw: Array) -> Array:
+    """Return specific forces (n, 3), calibrated where the accelerometer is."""
     part = record.accelerometer
-    force = raw if part is None else part.model.apply(raw)
-    return np.zeros((len(raw), 3)) + bias_terms(record, Sensor.GYROSCOPE, None, force)
+    return raw if part is None else part.model.apply(raw)
+
+
+def drivers_at(record: CalibrationRecord, sensor: Sensor, memory: Memory) -> Drivers:
+    """Return what a sensor's terms follow at the rests that are kept for learning."""
+    force = sensor is Sensor.ACCELEROMETER
+    return Drivers(
+        celsius=memory.celsius,
+        lagged=memory.lagged,
+        charged=memory.charged,
+        force=None if force else _calibrated(record, memory.force),
+        raw=memory.force if force else memory.rate,
+    )
 
 
 def interpolated(samples: Samples, t: Array) -> Array | None:
@@ -235,40 +259,3 @@ def interpolated(samples: Samples, t: Array) -> Array | None:
     if not len(samples):
         return None
     return np.column_stack([np.interp(t, samples.t, samples.xyz[:, axis]) for axis in range(3)])
-
-
-def mean_temperature(record: CalibrationRecord) -> float | None:
-    """Return the mean temperature (degC) of the rests fitted to, else the middle of the range of validity."""
-    known = [s.temperature for s in record.states if s.temperature is not None]
-    if known:
-        return float(np.mean(known))
-    low, high = record.validity.temperature_min, record.validity.temperature_max
-    return None if low is None or high is None else 0.5 * (low + high)
-
-
-def _ambiguous(finding: Mapping[str, Any]) -> bool:
-    """Tell whether another effect explains the recording as well as the one found."""
-    return any(other.get("indistinguishable") for other in finding.get("alternatives", ()))
-
-
-def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
-    """Turn a finding into a term, checking the shape of its parameter."""
-    effect = finding["effect"]
-    sensor, name, shape = _KINDS[effect]
-    given = (finding.get("parameters") or {}).get(name)
-    if given is None:
-        raise ValueError(f"{effect}: the finding has no {name}")
-    value = np.asarray(given["value"], dtype=np.float64)
-    if value.shape != shape or not np.isfinite(value).all():
-        raise ValueError(f"{effect}: {name} has shape {value.shape}: expected finite numbers, {shape}")
-    ci95 = None if given.get("ci95") is None else frozen(np.asarray(given["ci95"], dtype=np.float64))
-    reference = {}
-    if name == "slope":
-        t = mean_temperature(record)
-        if t is None:
-            raise NotSupported(
-                f"{effect}: the calibration's rests have no temperature", ["a recording with temperature"]
-            )
-        reference = {"temperature": t}
-    parameter = TermParameter(value=frozen(value), unit=str(given.get("unit", "")), ci95=ci95)
-    return Term(effect=effect, sensor=sensor, parameters={name: parameter}, reference=reference)

@@ -15,9 +15,11 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.acceptance import flipped_share
 from stillcal.calib_core.calibration.bias_curve import BLOCK_S, DROPPED, TAKEN_UP, Learnt, learn_gyroscope
+from stillcal.calib_core.calibration.corrections.catalogue import check_terms
+from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import with_learnt_gyroscope
-from stillcal.calib_core.calibration.record import Acceptance, CalibrationRecord, Evidence, Term
+from stillcal.calib_core.calibration.record import Acceptance, CalibrationRecord, Evidence
 from stillcal.calib_core.temperature.memory import Memory
 
 TESTED = ("gyro_g_sensitivity",)
@@ -30,6 +32,9 @@ class Trial:
 
     term: Term
     since: float
+
+    def __post_init__(self) -> None:
+        check_terms([self.term])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,7 @@ import numpy as np
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerFit
 from stillcal.calib_core.calibration.acceptance import decide, with_decision
+from stillcal.calib_core.calibration.adoption import terms_of
 from stillcal.calib_core.calibration.bias_curve import Learnt, learn_gyroscope
 from stillcal.calib_core.calibration.candidate import (
     CalibrateSettings,
@@ -44,7 +45,7 @@ from stillcal.calib_core.calibration.known_faces import calibrate_faces, inherit
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.rest_pool import Pool
 from stillcal.calib_core.calibration.suspicion import Suspicion
-from stillcal.calib_core.calibration.terms import compensated, terms_of
+from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.calibration.trial import TESTED, Trial, judge
 from stillcal.calib_core.engine.actions import Action, Diagnose, Level, Log, Publish, Reject
 from stillcal.calib_core.engine.schedule import (

@@ -18,8 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord, Term
-from stillcal.calib_core.calibration.terms import BY_CHARGING, lag_of, with_terms
+from stillcal.calib_core.calibration.adoption import refusal, with_terms
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import Term, lag_of
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import (
@@ -134,29 +136,34 @@ def rollback(path: Path, identity: str | None, steps: int) -> None:
 def adopt_terms(path: Path, diagnosis: Path) -> None:
     """Add corrections that a diagnosis found to the current calibration; `stillcal apply` then uses them.
 
-    Bias that follows temperature and g-sensitivity of the gyroscope can be corrected. DIAGNOSIS is the file
-    that `stillcal diagnose --json` wrote ('-': standard input). The calibration without them stays in the
-    history.
+    Bias and scale that follow temperature, nonlinearity, warm-up, a bias while charging, and g-sensitivity of
+    the gyroscope can be corrected. DIAGNOSIS is the file that `stillcal diagnose --json` wrote ('-': standard
+    input). The calibration without them stays in the history.
     """
     with _one_line(), Store(existing(path)) as store:
         document = store.load()
         if document is None or document.current is None:
             raise ValueError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
         try:
-            record = with_terms(document.current, _findings(diagnosis))
+            found, recording = _findings(diagnosis)
+            record = with_terms(document.current, found, recording)
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{input_name(diagnosis)}: {error}") from error
         store.publish(record, f"terms from {short_name(diagnosis)}")
     click.echo(
         f"{path}: calibration {record.id} now corrects {', '.join(term.effect for term in record.terms)}"
     )
+    for finding in found:
+        if why := refusal(finding):
+            click.echo(printable(f"not taken up: {finding['effect']}: {why}"), err=True)
 
 
-def _findings(path: Path) -> list[dict[str, Any]]:
-    """Read the findings of a diagnosis. Raises ValueError where the file is not one."""
+def _findings(path: Path) -> tuple[list[dict[str, Any]], str]:
+    """Read the findings of a diagnosis and the name of its recording. Raises ValueError if it is none."""
     data = read_input(path, MAX_BYTES)
     try:
-        return [dict(finding) for finding in json.loads(data.decode("utf-8"))["findings"]]
+        answer = json.loads(data.decode("utf-8"))
+        return [dict(finding) for finding in answer["findings"]], str(answer.get("recording", ""))
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
 
@@ -367,7 +374,9 @@ def _reference(term: Term) -> str:
 
 
 def _numbers(values: Array) -> str:
-    return "[" + ", ".join(_numbers(v) if v.ndim else f"{v:.4g}" for v in values) + "]"
+    if not values.ndim:
+        return f"{values:.4g}"
+    return "[" + ", ".join(map(_numbers, values)) + "]"
 
 
 def reading_json(reading: Reading) -> dict[str, Any]:

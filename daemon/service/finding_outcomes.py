@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from stillcal.calib_core.calibration.adoption import ADOPTABLE
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.calibration.trial import TESTED
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.engine_actions import REMEDY
@@ -29,6 +30,7 @@ _WHY_NOT = {
     BY_CHARGING: "taken up at an hourly check once it predicts later rests better and no thermometer does",
     "_drift": _ANEW,
     "_step": _ANEW,
+    "_warmup": "the daemon does not know when its sensors were switched on; let the phone warm up",
 }
 """Why effects are only reported, by the end of their names."""
 
@@ -70,6 +72,8 @@ def _why_not(effect: str, alike: Collection[str], view: View) -> str:
     if effect in TESTED:
         return "that takes a full calibration with the gyroscope first; let the phone lie in more attitudes"
     otherwise = f"a calibration has no term for it; to know more, {REMEDY}"
+    if effect in ADOPTABLE:
+        otherwise = f"stillcal store adopt-terms takes it up from a diagnosis; for that, {REMEDY}"
     return next((why for end, why in _WHY_NOT.items() if effect.endswith(end)), otherwise)
 
 

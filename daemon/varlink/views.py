@@ -12,11 +12,14 @@ import numpy as np
 
 from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.corrections.base import Drivers
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
-from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms
+from stillcal.calib_core.calibration.terms import offsets, terms_uncertainty
 from stillcal.calib_core.engine.laid_faces import Stage
 from stillcal.calib_core.engine.sensor_faults import failure
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.static.settings import Label, Sense
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.energy_ledger import Day
@@ -88,8 +91,8 @@ def _at_present(
     now, celsius = daemon.now, warmth.celsius
     at, late = None if celsius is None else np.array([celsius]), _lagged(daemon, celsius)
     charged = None if now is None else daemon.view.charger.at(now)
-    offset = bias_terms(record, sensor, at, None, late, charged=charged)
-    bias = np.array(part.bias) + np.ravel(offset)
+    drivers = Drivers(celsius=at, lagged=late, charged=charged)
+    bias = np.array(part.bias) + np.ravel(offsets(record, sensor, drivers))
     forecast, step = record.forecast.get(str(sensor)), daemon.view.suspected.get(sensor)
     told = dataclasses.replace(
         part,
@@ -97,9 +100,17 @@ def _at_present(
         bias_uncertainty_now=_finite(
             record.bias_uncertainty_at(sensor, now, celsius, late, charged, stray_k=warmth.stray_k)
         ),
-        follows_temperature=any("slope" in t.parameters and t.sensor == sensor for t in record.terms),
-        follows_charging=any(t.effect == BY_CHARGING and t.sensor == sensor for t in record.terms),
+        follows_temperature=any(
+            t.effect.endswith("_temperature") and t.sensor == sensor for t in record.terms
+        ),
+        follows_charging=any(
+            t.effect in {BY_CHARGING, "accel_charging_bias", "gyro_charging_bias"} and t.sensor == sensor
+            for t in record.terms
+        ),
     )
+    typical = bias + (STANDARD / np.sqrt(3.0) if sensor is Sensor.ACCELEROMETER else 0.0)
+    by_terms = terms_uncertainty(record, sensor, dataclasses.replace(drivers, raw=typical[None]))
+    told = _widened(told, np.ravel(by_terms))
     if step is not None:
         told = _widened(told, step.uncertainty)
     if forecast is None:
@@ -167,7 +178,14 @@ def corrected(
         raise ValueError(f"force has {len(forces)} rows, the samples have {len(raw)}")
     temperatures = None if temperature_c is None else np.full(len(raw), temperature_c)
     charged = None if daemon.now is None else daemon.view.charger.at(daemon.now)
-    offset = bias_terms(record, sensor, temperatures, forces, _lagged(daemon, temperature_c), charged=charged)
+    at = Drivers(
+        celsius=temperatures,
+        lagged=_lagged(daemon, temperature_c),
+        charged=charged,
+        force=forces,
+        raw=raw,
+    )
+    offset = offsets(record, sensor, at)
     return record.apply(raw - offset, sensor)
 
 

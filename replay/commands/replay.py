@@ -212,12 +212,17 @@ def _writer(
         claims=claims.without_noise() if means else claims,
     ) as writer:
         thermometer, charger = Thermometer(), Charger()
+        started: float | None = None
 
         def write(chunk: Chunk) -> None:
-            nonlocal thermometer, charger
+            nonlocal thermometer, charger, started
+            if started is None and len(chunk.accelerometer):
+                started = float(chunk.accelerometer.t[0])
             charger = charger.with_events(chunk.events)
             gyroscope = chunk.gyroscope if opened.has_gyroscope else None
-            accel, gyro = correct_both(record, chunk.accelerometer, gyroscope, thermometer, charger)
+            accel, gyro = correct_both(
+                record, chunk.accelerometer, gyroscope, thermometer, charger, started=started
+            )
             if len(accel) and accel.temperature is not None:
                 thermometer = thermometer.with_readings(accel.t, accel.temperature)
             if means:

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord, Term
-from stillcal.calib_core.calibration.terms import POWER_NAMES, followed_between
+from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES, followed_between
+from stillcal.calib_core.calibration.corrections.term import Term
+from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.phone.phone import Phone
@@ -200,6 +201,10 @@ def of_record(record: CalibrationRecord, phone: Phone | None = None) -> ImuParam
     )
 
 
+_BIAS_CURVE, _BY_FORCE = "_bias_temperature", "gyro_g_sensitivity"
+"""Terms that some target has a place for: the end of their names, or the name."""
+
+
 def _stored(record: CalibrationRecord) -> Iterator[tuple[str, SensorRecord]]:
     for name, stored in zip(SENSORS, (record.accelerometer, record.gyroscope), strict=True):
         if stored is not None:
@@ -209,9 +214,9 @@ def _stored(record: CalibrationRecord) -> Iterator[tuple[str, SensorRecord]]:
 def _of_sensor(record: CalibrationRecord, stored: SensorRecord, sensor: Sensor) -> SensorPart:
     part = SensorPart(scale=np.asarray(stored.scale), bias=np.asarray(stored.bias))
     for term in record.terms:
-        if term.sensor == sensor and "slope" in term.parameters:
+        if term.sensor == sensor and term.effect.endswith(_BIAS_CURVE):
             part = replace(part, **_curve(term))
-        elif term.sensor == sensor and "matrix" in term.parameters:
+        elif term.sensor == sensor and term.effect == _BY_FORCE:
             part = replace(part, matrix=np.asarray(term.parameters["matrix"].value))
     return part
 
@@ -224,7 +229,7 @@ def _other(record: CalibrationRecord) -> Iterator[tuple[str, str]]:
     for sensor in record.forecast:
         yield f"{sensor} forecast", "how uncertain its bias is at other times and temperatures"
     for term in record.terms:
-        if not {"slope", "matrix"} & term.parameters.keys():
+        if not term.effect.endswith((_BIAS_CURVE, _BY_FORCE)):
             yield (
                 f"{term.effect}",
                 ", ".join(f"{k} {numbers(p.value)} {p.unit}" for k, p in term.parameters.items()),

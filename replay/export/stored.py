@@ -8,17 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.corrections.bias_temperature import learnt_between
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.record import (
     AccelerometerRecord,
     Acceptance,
     CalibrationRecord,
     GyroscopeRecord,
     Provenance,
-    Term,
-    TermParameter,
     Validity,
 )
-from stillcal.calib_core.calibration.terms import learnt_between
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.export.imu import ImuParameters, SensorPart, of_record

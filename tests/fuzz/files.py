@@ -9,8 +9,8 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.calibration.terms import with_terms
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.errors import UserError

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.terms import POWER_NAMES
+from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.imu import LAG_S
 

@@ -10,10 +10,12 @@ from msgspec import structs
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.bias_curve import DROPPED, TAKEN_UP, held_term, learn_gyroscope
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import lag_of
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import with_learnt_gyroscope
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
-from stillcal.calib_core.calibration.terms import BY_CHARGING, bias_terms, correct_both, lag_of
+from stillcal.calib_core.calibration.terms import bias_terms, correct_both
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings

@@ -9,10 +9,11 @@ import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.bias_curve import held_term, learn_gyroscope
+from stillcal.calib_core.calibration.corrections.term import lag_of
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import with_learnt_gyroscope
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
-from stillcal.calib_core.calibration.terms import bias_terms, correct, lag_of
+from stillcal.calib_core.calibration.terms import bias_terms, correct
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.memory import Memory

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.record import (
     AccelerometerRecord,
     CalibrationRecord,
@@ -14,8 +15,6 @@ from stillcal.calib_core.calibration.record import (
     NotCalibratedError,
     Provenance,
     StateRecord,
-    Term,
-    TermParameter,
 )
 from stillcal.calib_core.codec import canonical, jsonable, packed, unpacked
 from stillcal.calib_core.gravity import Gravity

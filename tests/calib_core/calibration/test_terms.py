@@ -12,11 +12,13 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate, with_updated_bias
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
-from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, Term, TermParameter
+from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.calibration.terms import compensated, correct, correct_both, with_terms
+from stillcal.calib_core.calibration.terms import compensated, correct, correct_both
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity

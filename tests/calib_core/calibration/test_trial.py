@@ -9,7 +9,8 @@ import pytest
 from msgspec import structs
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.record import CalibrationRecord, Term, TermParameter
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
+from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.trial import Trial, judge
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.engine.actions import Publish

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.record import CalibrationRecord, Term, TermParameter
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
+from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.service.engine_thread import EngineThread, View

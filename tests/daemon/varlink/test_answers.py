@@ -16,9 +16,9 @@ import pytest
 import varlink
 
 from stillcal.calib_core.accelerometer.parameters import BIAS
-from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.suspicion import Suspicion
-from stillcal.calib_core.calibration.terms import BY_CHARGING
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.events import Charging
@@ -343,6 +343,43 @@ def test_answers_follow_the_charger_where_there_is_no_thermometer(folder: Path, 
             assert found["bias_now"] == pytest.approx(bias)
             told = await asked(folder, lambda c: c.Correct("gyroscope", [bias.tolist()]))
             assert np.ravel(told["samples"]) == pytest.approx(np.zeros(3), abs=1e-12)
+
+    within_reason(test())
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_answers_correct_a_bias_while_charging_or_say_how_far_it_may_be_off(
+    folder: Path, make_record: Any, known: bool
+) -> None:
+    """Before a phone has told of its charger, the bias may be off by the step, and is not corrected."""
+    record, step = make_record(3), np.array([0.001, -0.002, 0.003])
+    given = {"step": TermParameter(value=step, unit="rad/s")}
+    term = Term(effect="gyro_charging_bias", sensor=Sensor.GYROSCOPE, parameters=given)
+    bend = {"quadratic": TermParameter(value=np.array([1e-3, 0.0, 0.0]), unit="1/(m/s^2)")}
+    bent = Term(effect="accel_nonlinearity", sensor=Sensor.ACCELEROMETER, parameters=bend)
+    certain = Forecast(
+        at=5000.0, reference=25.0, curve=np.zeros((3, 3)), error=np.zeros((4, 3)),
+        covariance=np.zeros((12, 12)), white=0.0, flicker=0.0, walk=0.0,
+    )  # fmt: skip
+    record = dataclasses.replace(record, terms=(term, bent), forecast={"gyroscope": certain})
+    stored(folder, record)
+    charger = Charger().with_events([Charging(1000.0, True)] if known else [])
+    saved = SavedState(EngineState(charger=charger, record=record), PhoneClock(newest=5000.0))
+    saved_state.save(saved_state.state_path(folder / "store.json"), saved_state.encode(saved))
+    bias = record.gyroscope.bias + (step if known else 0.0)
+    raw = record.accelerometer.bias + np.array([5.0 + 1e-3 * 25.0, 0.0, 0.0])
+
+    async def test() -> None:
+        async with answering(folder):
+            found = (await asked(folder, lambda c: c.GetCalibration()))["calibration"]["gyroscope"]
+            assert found["follows_charging"] and found["bias_now"] == pytest.approx(bias)
+            off = np.zeros(3) if known else np.abs(step) / np.sqrt(2.0)
+            assert found["bias_uncertainty_now"] == pytest.approx(off)
+            told = await asked(folder, lambda c: c.Correct("gyroscope", [bias.tolist()]))
+            assert np.ravel(told["samples"]) == pytest.approx(np.zeros(3), abs=1e-12)
+            told = await asked(folder, lambda c: c.Correct("accelerometer", [raw.tolist()]))
+            straight = record.accelerometer.scale @ np.array([5.0, 0.0, 0.0])
+            assert np.ravel(told["samples"]) == pytest.approx(straight, abs=1e-6)
 
     within_reason(test())
 

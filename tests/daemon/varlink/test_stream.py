@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.terms import correct
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.app import Service

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from stillcal.calib_core.calibration.record import Term, TermParameter, Validity
-from stillcal.calib_core.calibration.terms import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
+from stillcal.calib_core.calibration.record import Validity
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor

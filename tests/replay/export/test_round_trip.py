@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.terms import polynomial
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Sensor
@@ -153,12 +153,12 @@ def test_a_file_read_back_into_its_own_store_changes_neither_scale_nor_bias(name
 def test_what_a_store_holds_beyond_all_targets_is_named_too(make_record) -> None:
     record = make_record(1)
     strange = Term(
-        effect="gyro_nonlinearity",
+        effect="gyro_curl",
         sensor=Sensor.GYROSCOPE,
         parameters={"curl": TermParameter(value=np.array([1.0, 2.0, 3.0]), unit="1")},
     )
     known = facts(of_record(replace(record, terms=(strange,))))
-    assert known["gyro_nonlinearity"] == "curl [1.0, 2.0, 3.0] 1"
+    assert known["gyro_curl"] == "curl [1.0, 2.0, 3.0] 1"
 
 
 def test_a_new_bias_without_a_slope_ends_the_curve_of_the_old_one() -> None:

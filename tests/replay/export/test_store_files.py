@@ -11,7 +11,7 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
-from stillcal.calib_core.calibration.record import Term, TermParameter
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.cli.store import store_group

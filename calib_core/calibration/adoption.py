@@ -1,0 +1,255 @@
+"""What a diagnosis found, taken into a calibration as terms.
+
+A calibration was fitted without the effect, and its bias and scale hold a part of it. So they change with the
+term: by what the fit to its own rests changes once the effect is taken off them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
+from stillcal.calib_core.accelerometer.parameters import DIAGONAL
+from stillcal.calib_core.accelerometer.prior import SOUND_PHONES
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.candidate import fit_accelerometer
+from stillcal.calib_core.calibration.corrections.base import Correction, Drivers
+from stillcal.calib_core.calibration.corrections.catalogue import CORRECTIONS
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.term import Term
+from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
+from stillcal.calib_core.calibration.terms import compensated
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.gyroscope.bias import bias_from_rests
+from stillcal.calib_core.streams.samples import Sensor
+
+ADOPTABLE = tuple(effect for effect in CORRECTIONS if effect != BY_CHARGING)
+"""Effects of a diagnosis that a calibration can take up. The heat of charging the daemon learns itself."""
+
+_NO_TERM = "a calibration has no correction for it"
+_ANEW = "it is over once the phone is calibrated anew"
+_WHY_NOT = {
+    "_bias_step": _ANEW,
+    "_bias_drift": _ANEW,
+    BY_CHARGING: "the daemon learns it at its hourly checks",
+}
+"""Why an effect is not taken up, by the end of its name."""
+
+
+def refusal(finding: Mapping[str, Any]) -> str:
+    """Return why a finding cannot be taken up, "" where it can be."""
+    effect = str(finding["effect"])
+    if effect not in ADOPTABLE:
+        return next((why for end, why in _WHY_NOT.items() if effect.endswith(end)), _NO_TERM)
+    alike = [a["effect"] for a in finding.get("alternatives", ()) if a.get("indistinguishable")]
+    return f"{' or '.join(alike)} fits as well" if alike else ""
+
+
+def with_terms(
+    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], recording: str = ""
+) -> CalibrationRecord:
+    """Return the calibration with terms for those findings (of `diagnose --json`) that can be applied.
+
+    A finding replaces an earlier term of the same effect. recording: the name of the one diagnosed. Raises
+    NotSupported where none of the findings can be applied, or where a term has nothing to count from;
+    ValueError on a malformed finding.
+    """
+    found = list(findings)
+    fresh = terms_of(record, found)
+    if not fresh:
+        why = "; ".join(f"{f['effect']}: {refusal(f)}" for f in found)
+        raise NotSupported(f"no finding can be applied{f' ({why})' if why else ''}")
+    others = [term for term in record.terms if term.effect not in fresh]
+    after = replace(record, terms=(*others, *fresh.values()))
+    refitting = [term for term in fresh.values() if CORRECTIONS[term.effect].refits]
+    started = _started(record, found, recording)
+    for term in refitting:
+        _require_drivers(record, term, started)
+    known = _known(record, refitting, started)
+    for sensor, refitted in ((Sensor.ACCELEROMETER, _accelerometer), (Sensor.GYROSCOPE, _gyroscope)):
+        if any(term.sensor == sensor for term in refitting):
+            after = refitted(record, after, known, started)
+    return after
+
+
+def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> dict[str, Term]:
+    """Return the terms, by effect, of those findings that can be applied; errors as `with_terms`."""
+    return {f["effect"]: _term(record, f) for f in findings if not refusal(f)}
+
+
+def mean_temperature(record: CalibrationRecord) -> float | None:
+    """Return the mean temperature (degC) of the rests fitted to, else the middle of the range of validity."""
+    known = [s.temperature for s in record.states if s.temperature is not None]
+    if known:
+        return float(np.mean(known))
+    low, high = record.validity.temperature_min, record.validity.temperature_max
+    return None if low is None or high is None else 0.5 * (low + high)
+
+
+def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
+    """Turn a finding into a term that counts from where the calibration holds."""
+    correction, reference = CORRECTIONS[finding["effect"]], {}
+    if "temperature" in correction.references:
+        at = mean_temperature(record)
+        if at is None:
+            raise NotSupported(
+                f"{correction.effect}: the calibration's rests have no temperature",
+                ["a recording with temperature"],
+            )
+        reference = {"temperature": at}
+    assert correction.sensor is not None, "the heat of charging is refused"
+    return correction.term(correction.sensor, finding, reference)
+
+
+def _started(
+    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], recording: str
+) -> float | None:
+    """Return when the recording began that the calibration was made from, s.
+
+    None where another one was diagnosed: the rests of the calibration then say nothing of their age.
+    """
+    starts = [f["where"]["t_start"] for f in findings if str(f["effect"]).endswith("_warmup")]
+    own = bool(recording) and record.provenance.source == recording
+    return float(min(starts)) if own and starts else None
+
+
+def _at_states(record: CalibrationRecord, started: float | None) -> Drivers:
+    """Return what terms follow at the rests of a calibration."""
+    rests = [state.rest() for state in record.states]
+    t = np.array([0.5 * (rest.t_start + rest.t_end) for rest in rests])
+    return Drivers(
+        celsius=np.array([np.nan if rest.temperature is None else rest.temperature for rest in rests]),
+        charged=np.array([rest.charged for rest in rests]),
+        age=None if started is None else t - started,
+        reading=np.array([rest.specific_force for rest in rests]),
+    )
+
+
+def _require_drivers(record: CalibrationRecord, term: Term, started: float | None) -> None:
+    """Raise NotSupported where the calibration's rests do not tell what a term follows."""
+    correction: Correction = CORRECTIONS[term.effect]
+    if not record.states:
+        raise NotSupported(
+            f"{term.effect}: the calibration came without its rests: what it holds of it is unknown",
+            ["a calibration by stillcal replay, or by the daemon"],
+        )
+    if not _known(record, [term], started).any():
+        raise NotSupported(
+            f"{term.effect}: the calibration's rests do not say {correction.driver}", [correction.remedy]
+        )
+
+
+def _known(record: CalibrationRecord, terms: Iterable[Term], started: float | None) -> NDArray[np.bool_]:
+    """Tell at which rests (n,) of a calibration all that terms follow is known."""
+    at, known = _at_states(record, started), np.ones(len(record.states), dtype=bool)
+    for term in terms:
+        offset = CORRECTIONS[term.effect].offset(term, at)
+        known &= offset is not None and np.isfinite(offset).all(axis=1)
+    return known
+
+
+def _rests(record: CalibrationRecord, known: NDArray[np.bool_], started: float | None) -> Pool:
+    """Return the rests of a calibration at which its terms are known, with these taken off."""
+    gravity = record.gravity or Gravity()
+    states = [state for state, used in zip(record.states, known.tolist(), strict=True) if used]
+    return compensated(Pool(tuple(HeldRest(state.rest(), gravity) for state in states)), record, started)
+
+
+def _accelerometer(
+    before: CalibrationRecord, after: CalibrationRecord, known: NDArray[np.bool_], started: float | None
+) -> CalibrationRecord:
+    """Return a calibration with its accelerometer changed as the fit to its rests changes with the terms."""
+    part, gravity = after.accelerometer, after.gravity or Gravity()
+    if part is None:
+        raise NotSupported("the calibration has no accelerometer part", ["a full calibration"])
+    old, new = (
+        fit_accelerometer(
+            _rests(record, known, started).held,
+            gravity,
+            AccelerometerSettings(),
+            min(part.parameters, 9),
+            SOUND_PHONES if part.with_prior else None,
+        )
+        for record in (before, after)
+    )
+    ratio = new.rms_residual / old.rms_residual if old.rms_residual > 0.0 else 1.0
+    changed = replace(
+        part,
+        scale=frozen(part.scale + new.model.scale - old.model.scale),
+        bias=frozen(part.bias + new.model.bias - old.model.bias),
+        rms_residual=None if part.rms_residual is None else part.rms_residual * min(ratio, 1.0),
+    )
+    return replace(after, accelerometer=changed)
+
+
+def _gyroscope(
+    before: CalibrationRecord, after: CalibrationRecord, known: NDArray[np.bool_], started: float | None
+) -> CalibrationRecord:
+    """Return a calibration with its gyroscope's bias, and its scale, less what they hold of the terms.
+
+    A bias that was learnt is that of the newest rest, else it is the mean of the rests.
+    """
+    part = after.gyroscope
+    if part is None:
+        raise NotSupported("the calibration has no gyroscope part", ["a recording with a gyroscope"])
+    old, new = (_at_rest(_rests(record, known, started), record) for record in (before, after))
+    held = _held_by_scale(part, after) - _held_by_scale(part, before)
+    changed = replace(
+        part,
+        bias=frozen(part.bias + new - old),
+        scale=frozen(part.scale @ np.diag(1.0 / (1.0 - held))),
+        covariance=_less_certain(part, held),
+    )
+    return replace(after, gyroscope=changed)
+
+
+def _at_rest(pool: Pool, record: CalibrationRecord) -> Array:
+    """Return the gyroscope's bias, (3,), as a calibration's rests show it, zeros where they show none."""
+    rests = [rest for rest in pool.rests if rest.rate is not None]
+    if str(Sensor.GYROSCOPE) in record.forecast:
+        rests = rests[-1:]
+    return bias_from_rests(rests).bias if rests else np.zeros(3)
+
+
+_HELD_SD = 0.5
+"""Relative standard uncertainty of what a scale holds of an effect: a turn about the vertical counts for
+nothing in its fit, and is counted here."""
+
+
+def _less_certain(part: GyroscopeRecord, held: Array) -> Array | None:
+    """Return the covariance of a gyroscope whose scale was changed by `held`, (3,) of one."""
+    if part.covariance is None or not set(DIAGONAL) <= set(part.names):
+        return part.covariance
+    wider = np.array(part.covariance)
+    rows = [part.names.index(name) for name in DIAGONAL]
+    wider[rows, rows] += (_HELD_SD * held) ** 2
+    return frozen(wider)
+
+
+def _held_by_scale(part: GyroscopeRecord, record: CalibrationRecord) -> Array:
+    """Return by how much, (3,) of one, terms of the gyroscope change the turns that its scale comes from."""
+    total = np.zeros(3)
+    for term in record.terms:
+        correction = CORRECTIONS.get(term.effect)
+        if term.sensor is Sensor.GYROSCOPE and correction is not None:
+            total = total + correction.held_by_scale(term, _turn_powers(part, term))
+    return total
+
+
+def _turn_powers(part: GyroscopeRecord, term: Term) -> Array:
+    """Return what the scale was fitted to, as the record has it; zeros where it was not fitted."""
+    if part.parameters == 3 or not CORRECTIONS[term.effect].in_turns:
+        return np.zeros((2, 3))
+    if part.turn_powers is None:
+        raise NotSupported(
+            f"{term.effect}: the calibration does not say how fast the turns were that its scale comes from",
+            ["a new calibration by stillcal replay, or by the daemon"],
+        )
+    return part.turn_powers

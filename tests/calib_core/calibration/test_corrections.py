@@ -1,0 +1,311 @@
+"""Every effect that a calibration can take up: adopted, applied to rests never seen, kept, refused.
+
+The rests are made here from the formulas of docs/effects.md; tests/replay/test_adopted_terms.py goes from a
+recording through the diagnosis.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration.adoption import ADOPTABLE, with_terms
+from stillcal.calib_core.calibration.bias_curve import learn_accelerometer, learn_gyroscope
+from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
+from stillcal.calib_core.calibration.corrections.base import Drivers
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
+from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
+from stillcal.calib_core.calibration.record import CalibrationRecord, Provenance
+from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
+from stillcal.calib_core.calibration.terms import correct, terms_uncertainty
+from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.charger import Charger
+from stillcal.calib_core.temperature.memory import Memory
+from stillcal.daemon.cli.store import store_group
+from stillcal.daemon.store.document import StoreFormatError, parse, render
+from stillcal.daemon.store.store import Store
+
+ACCEL, GYRO = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
+G = 9.81
+BIAS, RATE_BIAS = np.array([0.2, -0.3, 0.1]), np.array([0.01, -0.02, 0.005])
+SCALE = np.array([1.01, 0.99, 1.005])
+FORCE_SD, RATE_SD, STEP_S, N = 1e-3, 1e-5, 60.0, 80
+PLUGGED_S = 600.0
+"""The charger is switched every so often, first at the start."""
+
+ANY = np.array([1.0, -0.8, 1.2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """What drives effects: true force (n, 3), age (n,) s, temperature (n,) degC, on the charger (n,)."""
+
+    force: Array
+    age: Array
+    celsius: Array
+    on: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """An effect: parameters as a finding has them, and its error at moments, (n, 3)."""
+
+    parameters: dict[str, object]
+    error: Callable[[Moment], Array]
+
+
+def outer(a: Array, b: Array) -> Array:
+    return np.asarray(a[:, None] * b)
+
+
+CASES = {
+    "accel_scale_temperature": Case(
+        {"slope": 1e-3 * ANY}, lambda m: m.force * outer(m.celsius - 30.0, 1e-3 * ANY)
+    ),
+    "accel_nonlinearity": Case(
+        {"quadratic": 5e-4 * ANY, "cubic": 3e-5 * ANY},
+        lambda m: 5e-4 * ANY * m.force**2 + 3e-5 * ANY * m.force**3,
+    ),
+    "accel_charging_bias": Case({"step": 0.04 * ANY}, lambda m: outer(m.on, 0.04 * ANY)),
+    "gyro_charging_bias": Case({"step": 4e-3 * ANY}, lambda m: outer(m.on, 4e-3 * ANY)),
+    "accel_warmup": Case(
+        {"amplitude": 0.08 * ANY, "tau_s": np.array(900.0)},
+        lambda m: outer(-np.expm1(-m.age / 900.0), 0.08 * ANY),
+    ),
+    "gyro_warmup": Case(
+        {"amplitude": 4e-3 * ANY, "tau_s": np.array(900.0)},
+        lambda m: outer(-np.expm1(-m.age / 900.0), 4e-3 * ANY),
+    ),
+}
+
+
+def sensor_of(effect: str) -> Sensor:
+    return ACCEL if effect.startswith("accel") else GYRO
+
+
+def finding(effect: str, **more: object) -> dict[str, object]:
+    values = {k: np.asarray(v) for k, v in CASES[effect].parameters.items()}
+    told = {
+        k: {"value": v.tolist(), "ci95": np.stack([0.99 * v, 1.01 * v], axis=-1).tolist(), "unit": ""}
+        for k, v in values.items()
+    }
+    where = {"t_start": 0.0, "t_end": N * STEP_S}
+    return {"effect": effect, "parameters": told, "where": where, "alternatives": [], **more}
+
+
+def plugged() -> Charger:
+    return Charger().with_events(
+        Charging(t=k * PLUGGED_S, on=k % 2 == 0) for k in range(int(N * STEP_S / PLUGGED_S))
+    )
+
+
+@cache
+def pool(effect: str, seed: int) -> Pool:
+    """Return rests of a phone with one effect, or none, in all attitudes."""
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(N, 3))
+    t = STEP_S * np.arange(N)
+    charged = plugged().course(t + 5.0)
+    m = Moment(
+        G * directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        t + 5.0,
+        30.0 + 8.0 * np.sin(t / 700.0),
+        charged[:, 0] / 10.0,
+    )
+    error = CASES[effect].error(m) if effect else np.zeros((N, 3))
+    of_force = sensor_of(effect) is ACCEL if effect else True
+    force = m.force / SCALE + BIAS + FORCE_SD * rng.normal(size=(N, 3)) + of_force * error
+    rate = RATE_BIAS + RATE_SD * rng.normal(size=(N, 3)) + (not of_force) * error
+    sd, rate_sd = frozen(np.full(3, FORCE_SD)), frozen(np.full(3, RATE_SD))
+    rests = [
+        RestState(
+            t[k], t[k] + 10.0, 500, frozen(force[k]), sd, sd, 0.01,
+            rate=frozen(rate[k]), rate_sd=rate_sd, rate_uncertainty=rate_sd,
+            temperature=float(m.celsius[k]), charged=charged[k],
+        )
+        for k in range(N)
+    ]  # fmt: skip
+    return Pool(tuple(HeldRest(rest, Gravity(G, 0.0, "given")) for rest in rests))
+
+
+@cache
+def record(effect: str) -> CalibrationRecord:
+    """Return a calibration that knows nothing of the effect, and holds a part of it."""
+    rests = pool(effect, 1)
+    fitted = fit_candidate(rests, rests.held[0].gravity, N * STEP_S, CalibrateSettings()).record
+    return replace(fitted, provenance=Provenance(source="day.csv"))
+
+
+@cache
+def adopted(effect: str) -> CalibrationRecord:
+    return with_terms(record(effect), [finding(effect)], "day.csv")
+
+
+def left(known: CalibrationRecord, effect: str, charger: Charger, started: float | None = 0.0) -> float:
+    """Return the error (rms) that a calibration leaves in rests that it never saw, SI."""
+    sensor, rests = sensor_of(effect), pool(effect, 2).rests
+    raw = Samples(
+        sensor,
+        frozen([0.5 * (r.t_start + r.t_end) for r in rests]),
+        frozen([r.specific_force if sensor is ACCEL else r.rate for r in rests]),
+        temperature=frozen([r.temperature for r in rests]),
+    )
+    done = correct(known, raw, charger=charger, started=started).xyz
+    return rms(np.linalg.norm(done, axis=1) - G if sensor is ACCEL else done)
+
+
+@pytest.mark.parametrize("effect", CASES)
+def test_an_adopted_effect_is_corrected_on_rests_never_seen(effect: str) -> None:
+    before, after = (left(known, effect, plugged()) for known in (record(effect), adopted(effect)))
+    assert after < before / 5
+    assert after < 3 * (FORCE_SD if sensor_of(effect) is ACCEL else 2 * RATE_SD)
+
+
+@pytest.mark.parametrize("effect", ["accel_scale_temperature", "accel_nonlinearity", "accel_charging_bias"])
+def test_the_hourly_check_takes_an_adopted_effect_off_first(effect: str) -> None:
+    """The scatter that the calibration had without the term is no reason to be lenient with it."""
+    new = adopted(effect)
+    assert new.accelerometer is not None and record(effect).accelerometer is not None
+    assert new.accelerometer.rms_residual < 0.3 * record(effect).accelerometer.rms_residual
+    assert check_calibration(new, pool(effect, 2), QualitySettings()).verdict is Verdict.KEEP
+    plain = replace(new, terms=())
+    assert check_calibration(plain, pool(effect, 2), QualitySettings()).verdict is not Verdict.KEEP
+
+
+@pytest.mark.parametrize("effect", [name for name in CASES if not name.endswith("_warmup")])
+def test_a_new_calibration_keeps_the_term_and_is_fitted_without_the_effect(effect: str) -> None:
+    """Not of a warm-up: a daemon does not know when its sensors were switched on."""
+    rests = pool(effect, 3)
+    new = fit_candidate(rests, rests.held[0].gravity, 2e5, CalibrateSettings(), adopted(effect)).record
+    assert new.terms == adopted(effect).terms
+    assert left(new, effect, plugged()) < left(record(effect), effect, plugged()) / 5
+
+
+@pytest.mark.parametrize("effect", ["gyro_charging_bias", "accel_charging_bias", "accel_nonlinearity"])
+def test_what_is_learnt_at_every_check_does_not_follow_the_effect(effect: str) -> None:
+    memory = Memory()
+    for held in pool(effect, 2).held:
+        memory = memory.with_rest(held.rest, G)
+    errors = []
+    for known in (record(effect), adopted(effect)):
+        if sensor_of(effect) is GYRO:
+            learnt = learn_gyroscope(memory, known, N * STEP_S, QualitySettings())
+        else:
+            learnt = learn_accelerometer(memory, known.model(ACCEL), known, N * STEP_S, QualitySettings())
+        assert learnt is not None
+        errors.append(rms(learnt.errors[N // 2 :]))
+    assert errors[1] < errors[0] / 4
+
+
+@pytest.mark.parametrize(
+    "effect", ["accel_charging_bias", "gyro_charging_bias", "accel_warmup", "accel_scale_temperature"]
+)
+def test_an_effect_whose_driver_is_unknown_is_left_in_and_said(effect: str) -> None:
+    """Before the first word of a charger, without a thermometer or a known start."""
+    known, sensor = adopted(effect), sensor_of(effect)
+    raw = Samples(sensor, frozen(np.arange(3.0)), frozen(np.full((3, 3), 3.0)))
+    blind = correct(known, raw, charger=Charger()).xyz
+    assert blind == pytest.approx(correct(replace(known, terms=()), raw).xyz)
+    told = terms_uncertainty(known, sensor, Drivers(raw=np.full((1, 3), 6.0)))
+    size = np.abs(np.asarray(next(iter(CASES[effect].parameters.values()))))
+    assert (np.ravel(told) > 0.3 * size * (10.0 if effect.endswith("_temperature") else 1.0)).all()
+    seen = Drivers(raw=raw.xyz, charged=plugged().course(raw.t), celsius=np.full(3, 30.0), age=raw.t)
+    assert (terms_uncertainty(known, sensor, seen) < 0.1 * told).all()
+
+
+@pytest.mark.parametrize("effect", CASES)
+def test_a_store_adopts_an_effect_shows_it_and_gives_it_back(effect: str, tmp_path: Path) -> None:
+    store, diagnosis = tmp_path / "store.json", tmp_path / "day.json"
+    Store(store).publish(record(effect))
+    skew = {"effect": "clock_skew", "parameters": {}}
+    answer = {"schema": 2, "recording": "day.csv", "findings": [finding(effect), skew]}
+    diagnosis.write_text(json.dumps(answer))
+    run = CliRunner().invoke
+    said = run(store_group, ["adopt-terms", str(store), str(diagnosis)])
+    assert f"now corrects {effect}" in said.output
+    assert "not taken up: clock_skew: a calibration has no correction for it" in said.output
+    assert f"term {effect}" in run(store_group, ["show", str(store)]).output
+    assert "terms from day.json" in run(store_group, ["history", str(store)]).output
+    kept = Store(store).load().current
+    assert (
+        kept.id == adopted(effect).id and kept.terms[0].parameters.keys() == CASES[effect].parameters.keys()
+    )
+    assert all(p.ci95 is not None for p in kept.terms[0].parameters.values())
+    assert left(kept, effect, plugged()) == pytest.approx(left(adopted(effect), effect, plugged()))
+    back = Store(store).rollback().document.current
+    assert back.id == record(effect).id and not back.terms
+
+
+BAD = [
+    ("quadratic", [1.0, 0.0, 0.0], "at most"),
+    ("quadratic", [float("nan"), 0.0, 0.0], "finite"),
+    ("quadratic", [1e-4, 1e-4], "shape"),
+    ("slope", [1e-4, 1e-4, 1e-4], "no parameter slope"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "why"), BAD)
+def test_a_stored_term_that_is_out_of_range_or_garbled_is_refused(name: str, value: list, why: str) -> None:
+    bad = Term(
+        effect="accel_nonlinearity",
+        sensor=ACCEL,
+        parameters={name: TermParameter(value=np.array(value), unit="")},
+    )
+    with pytest.raises(ValueError, match=why):
+        replace(record(""), terms=(bad,))
+
+
+def test_a_store_with_a_garbled_term_is_not_read(tmp_path: Path) -> None:
+    store = Store(tmp_path / "store.json")
+    store.publish(adopted("accel_warmup"))
+    value = json.loads((tmp_path / "store.json").read_text())
+    value["terms"][0]["parameters"]["tau_s"]["value"] = -3.0
+    with pytest.raises(StoreFormatError, match="tau_s"):
+        parse(json.dumps(value).encode(), trusted=True)
+
+
+def test_a_store_of_the_version_before_is_read(tmp_path: Path) -> None:
+    """It has neither the charger in its rests nor the speed of turns."""
+    Store(tmp_path / "store.json").publish(record(""))
+    document = Store(tmp_path / "store.json").load()
+    value = json.loads(render(document))
+    for state in value["states"]:
+        del state["charging"]
+    del value["gyroscope"]["turn_powers"]
+    again, _ = parse(json.dumps(value).encode(), trusted=True)
+    assert again.current.id == record("").id
+    with pytest.raises(NotSupported, match="do not say whether the phone was on the charger"):
+        with_terms(again.current, [finding("gyro_charging_bias")])
+
+
+def test_what_has_nothing_to_count_from_is_refused_with_a_reason() -> None:
+    with pytest.raises(NotSupported, match="do not say how long before them the sensors were switched on"):
+        with_terms(record("gyro_warmup"), [finding("gyro_warmup")], "another.csv")
+    bare = replace(record("accel_nonlinearity"), states=())
+    with pytest.raises(NotSupported, match="came without its rests"):
+        with_terms(bare, [finding("accel_nonlinearity")])
+    step = {"effect": "accel_bias_step", "parameters": {}}
+    with pytest.raises(NotSupported, match="accel_bias_step: it is over once the phone is calibrated anew"):
+        with_terms(record(""), [step])
+    alike = finding("accel_nonlinearity", alternatives=[{"effect": "unknown", "indistinguishable": True}])
+    with pytest.raises(NotSupported, match="accel_nonlinearity: unknown fits as well"):
+        with_terms(record(""), [alike])
+
+
+def test_every_effect_of_either_sensor_is_tried_here() -> None:
+    others = {"accel_bias_temperature", "gyro_bias_temperature", "gyro_g_sensitivity"}  # test_terms.py
+    turns = {"gyro_scale_temperature", "gyro_nonlinearity"}  # test_corrections_in_turns.py
+    assert set(ADOPTABLE) == set(CASES) | others | turns
