@@ -15,7 +15,7 @@ from itertools import pairwise
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.noise_models import STRENGTHS, families
+from stillcal.calib_core.diagnosis.inference.noise_models import STRENGTHS, Family, families
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.residuals import View
 
@@ -107,7 +107,7 @@ def reduce_view(
     seen = np.abs(design).max(axis=(0, 1)) > 0.0
     number = np.cumsum(seen) - 1
     blocks, groups = len(view.y), _grouped([number[own[seen[own]]] for own in columns])
-    few = stacked(view, design[:, :, :0], extra)
+    few, shown = stacked(view, design[:, :, :0], extra), design[:, :, seen]
     volume = -2.0 * blocks * float(np.linalg.slogdet(made[0].rotation)[1])
     ends = np.cumsum([0, *(len(family.diagonals) for family in made)])
     grams = [np.empty((len(own), ends[-1], *[own.shape[1]] * 2)) for _, own in groups]
@@ -115,10 +115,8 @@ def reduce_view(
     parts = []
     for family, (start, end) in zip(made, pairwise(ends), strict=True):
         root = 1.0 / np.sqrt(family.diagonals)
-        whitened = (family.rotation @ few) * root[:, None, :, None]
-        own, determinant = _own_baseline(view, family.name, whitened[..., : view.baseline.shape[2]])
-        y, found = _freed(whitened[..., view.baseline.shape[2] :], own)
-        turned = family.rotation @ design[:, :, seen]
+        own, determinant, y, found = _without_candidates(view, family, root, few)
+        turned = family.rotation @ shown
         roots = np.tile(root, (1, blocks))
         flat = turned.reshape(y.shape[1], -1)
         by_block = np.swapaxes(own * root[:, None, :, None], -1, -2) @ turned
@@ -266,6 +264,27 @@ def projected(whitened: Array, width: int, candidates: int) -> tuple[Array, Arra
     design = whitened[..., width + 1 : width + 1 + candidates]
     design = (design - own @ (np.swapaxes(own, -1, -2) @ design)).reshape(*y.shape, candidates)
     return y, design - np.swapaxes(found, -1, -2) @ (found @ design)
+
+
+def _without_candidates(
+    view: View, family: Family, root: Array, few: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Return what `_own_baseline` and `_freed` make of a view; it keeps the last where that is small.
+
+    root: (S, n) of the inverse variances of the family's shapes; few: (b, n, p + 1 + q) baseline, data and
+    what was found: the same for all batches of candidates.
+    """
+    kept: dict[str, tuple[Array, tuple[Array, Array, Array, Array]]] = view.memo.setdefault("apart", {})
+    last = kept.get(family.name)
+    if last is not None and np.array_equal(last[0], few):
+        return last[1]
+    width = view.baseline.shape[2]
+    whitened = (family.rotation @ few) * root[:, None, :, None]
+    own, determinant = _own_baseline(view, family.name, whitened[..., :width])
+    made = own, determinant, *_freed(whitened[..., width:], own)
+    if sum(part.size for part in made) <= AT_ONCE // 8:  # there are twenty families
+        kept[family.name] = few, made
+    return made
 
 
 def _own_baseline(view: View, family: str, whitened: Array) -> tuple[Array, Array]:
