@@ -35,7 +35,10 @@ VOLTS = 0.25
 
 
 def attitudes(rng: np.random.Generator) -> tuple[Array, Array, Any, Any]:
-    """Return times (n,), s, directions (10, 3), which of them holds (n,), and whether it is moved (n,)."""
+    """Return times (n,), s, directions (10, 3), which of them holds (n,), and whether it is moved (n,).
+
+    The rates below are no turns from one to the next: too quick for the stamps, they are held against none.
+    """
     t = np.arange(int(720 * RATE_HZ)) / RATE_HZ
     ups = rng.normal(size=(10, 3))
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
@@ -50,7 +53,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     minutes = np.arange(0.0, 721.0, 36.0)
     volts = 3.8 + VOLTS * np.sin(minutes / 114.0) + 0.05 * rng.normal(size=minutes.size)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
-    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
+    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 8.0, 0.001)[:, None]
     rate[:, 2] += SLOPE * (np.interp(t, minutes, volts) - 3.8)
     logged = np.full(t.size, "", dtype=object)
     logged[np.searchsorted(t, minutes[:-1])] = [f"{v:.5f}" for v in volts[:-1]]
@@ -154,7 +157,7 @@ def test_a_simulation_is_told_how_much_of_the_effect_it_lacks(
     t, ups, which, moving = attitudes(rng)
     volts = 4.1 + VOLTS * np.cos(t / 78.0)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
-    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
+    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 8.0, 0.001)[:, None]
     rate[:, 2] += part * SLOPE * (volts - 3.8)
     path = tmp_path / "sim.csv"
     write(path, t, force, rate, {"battery_v": np.round(volts, 5)} if column else {})
@@ -173,7 +176,7 @@ def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> No
     t, ups, which, moving = attitudes(rng)
     warm = 28.0 + 5.0 * np.sin(t / 67.0) + 2.0 * np.sin(t / 32.0)
     force = 9.80665 * ups[which] + rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.01)[:, None]
-    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 0.8, 0.001)[:, None]
+    rate = rng.normal(size=(t.size, 3)) * np.where(moving, 8.0, 0.001)[:, None]
     rate += np.outer(warm - 28.0, [2e-4, 0.0, -1e-4])
     path, answer = tmp_path / "copy.csv", tmp_path / "answer.json"
     fahrenheit = np.round(1.8 * warm + 32.0, 1)
