@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -66,6 +67,7 @@ class Examination:
     other_axes: the finding where they are exchanged throughout.
     delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
     why_no_delay: the reason then, "" where motion is too little to look for it.
+    memo: what was worked out of it once, by name.
     """
 
     accelerometer: Samples
@@ -82,6 +84,7 @@ class Examination:
     other_axes: Finding | None = None
     delay: Measured | None = None
     why_no_delay: str = ""
+    memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def diagnosis(self, recording: str) -> Diagnosis:
         """Return the findings. recording: the name it is known by."""

@@ -79,7 +79,17 @@ class Sought:
 
 
 def sought(exam: Examination) -> list[Sought]:
-    """Return every named slow effect that the recording's rests and turns could be asked for."""
+    """Return every named slow effect that the recording's rests and turns could be asked for.
+
+    A recording is compared with several simulations: what it could be asked for is worked out once.
+    """
+    if "sought" not in exam.memo:
+        exam.memo["sought"] = _every_sought(exam)
+    found: list[Sought] = exam.memo["sought"]
+    return found
+
+
+def _every_sought(exam: Examination) -> list[Sought]:
     sensors = [*exam.sensors, *([] if exam.turns is None else [exam.turns])]
     out = []
     for residuals in sensors:
