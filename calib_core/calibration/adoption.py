@@ -1,7 +1,7 @@
 """What a diagnosis found, taken into a calibration as terms.
 
-A calibration was fitted without the effect, and its bias and scale hold a part of it. So they change with the
-term: by what the fit to its own rests changes once the effect is taken off them.
+A calibration was fitted without the effect, and its bias and scale hold a part of it. So it is fitted anew to
+its own rests, once the effect is taken off them.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
-from stillcal.calib_core.accelerometer.parameters import DIAGONAL
+from stillcal.calib_core.accelerometer.parameters import ALL, DIAGONAL
 from stillcal.calib_core.accelerometer.prior import SOUND_PHONES
+from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.candidate import fit_accelerometer
 from stillcal.calib_core.calibration.corrections.base import Correction, Drivers
@@ -165,7 +166,11 @@ def _rests(record: CalibrationRecord, known: NDArray[np.bool_], started: float |
 def _accelerometer(
     before: CalibrationRecord, after: CalibrationRecord, known: NDArray[np.bool_], started: float | None
 ) -> CalibrationRecord:
-    """Return a calibration with its accelerometer changed as the fit to its rests changes with the terms."""
+    """Return a calibration whose accelerometer is fitted anew to its rests, with the terms taken off.
+
+    One that has followed later rests since is that of an unknown state of what the terms follow; it begins
+    anew from its own rests. The rotation common to all axes stays.
+    """
     part, gravity = after.accelerometer, after.gravity or Gravity()
     if part is None:
         raise NotSupported("the calibration has no accelerometer part", ["a full calibration"])
@@ -180,13 +185,20 @@ def _accelerometer(
         for record in (before, after)
     )
     ratio = new.rms_residual / old.rms_residual if old.rms_residual > 0.0 else 1.0
+    turned = common_rotation(part.scale) if part.parameters == ALL else np.eye(3)
     changed = replace(
         part,
-        scale=frozen(part.scale + new.model.scale - old.model.scale),
-        bias=frozen(part.bias + new.model.bias - old.model.bias),
+        scale=frozen(turned @ new.model.scale),
+        bias=new.model.bias,
         rms_residual=None if part.rms_residual is None else part.rms_residual * min(ratio, 1.0),
     )
-    return replace(after, accelerometer=changed)
+    return _without_forecast(replace(after, accelerometer=changed), Sensor.ACCELEROMETER)
+
+
+def _without_forecast(record: CalibrationRecord, sensor: Sensor) -> CalibrationRecord:
+    """Return a record without the forecast of a bias that is another one now."""
+    kept = {name: forecast for name, forecast in record.forecast.items() if name != str(sensor)}
+    return replace(record, forecast=kept)
 
 
 def _gyroscope(
@@ -194,28 +206,32 @@ def _gyroscope(
 ) -> CalibrationRecord:
     """Return a calibration with its gyroscope's bias, and its scale, less what they hold of the terms.
 
-    A bias that was learnt is that of the newest rest, else it is the mean of the rests.
+    A bias that was learnt begins anew from the newest of its own rests, else from all of them. Terms that
+    follow the rate leave it as it is.
     """
     part = after.gyroscope
     if part is None:
         raise NotSupported("the calibration has no gyroscope part", ["a recording with a gyroscope"])
-    old, new = (_at_rest(_rests(record, known, started), record) for record in (before, after))
+    biased = [t for t in after.terms if t not in before.terms and not CORRECTIONS[t.effect].of_reading]
+    moves = any(term.sensor is Sensor.GYROSCOPE for term in biased)
+    bias = _at_rest(_rests(after, known, started), after) if moves else part.bias
     held = _held_by_scale(part, after) - _held_by_scale(part, before)
     changed = replace(
         part,
-        bias=frozen(part.bias + new - old),
+        bias=frozen(bias),
         scale=frozen(part.scale @ np.diag(1.0 / (1.0 - held))),
         covariance=_less_certain(part, held),
     )
-    return replace(after, gyroscope=changed)
+    changed_record = replace(after, gyroscope=changed)
+    return _without_forecast(changed_record, Sensor.GYROSCOPE) if moves else changed_record
 
 
 def _at_rest(pool: Pool, record: CalibrationRecord) -> Array:
-    """Return the gyroscope's bias, (3,), as a calibration's rests show it, zeros where they show none."""
+    """Return the gyroscope's bias, (3,), as a calibration's rests show it. NotSupported where they do not."""
     rests = [rest for rest in pool.rests if rest.rate is not None]
     if str(Sensor.GYROSCOPE) in record.forecast:
         rests = rests[-1:]
-    return bias_from_rests(rests).bias if rests else np.zeros(3)
+    return bias_from_rests(rests).bias
 
 
 _HELD_SD = 0.5

@@ -174,6 +174,20 @@ def test_an_adopted_effect_is_corrected_on_rests_never_seen(effect: str) -> None
     assert after < 3 * (FORCE_SD if sensor_of(effect) is ACCEL else 2 * RATE_SD)
 
 
+@pytest.mark.parametrize("effect", ["accel_charging_bias", "gyro_charging_bias"])
+def test_a_calibration_that_has_followed_later_rests_begins_anew_from_its_own(effect: str) -> None:
+    """It held the bias of a moment on or off the charger that nobody kept, and was moved by the step."""
+    known = record(effect)
+    assert known.accelerometer is not None and known.gyroscope is not None
+    moved = replace(
+        known,
+        accelerometer=replace(known.accelerometer, bias=known.accelerometer.bias + 0.03),
+        gyroscope=replace(known.gyroscope, bias=known.gyroscope.bias + 2e-3),
+    )
+    after = left(with_terms(moved, [finding(effect)]), effect, plugged())
+    assert after < 3 * (FORCE_SD if sensor_of(effect) is ACCEL else RATE_SD)
+
+
 @pytest.mark.parametrize("effect", ["accel_scale_temperature", "accel_nonlinearity", "accel_charging_bias"])
 def test_the_hourly_check_takes_an_adopted_effect_off_first(effect: str) -> None:
     """The scatter that the calibration had without the term is no reason to be lenient with it."""
