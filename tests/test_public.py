@@ -51,6 +51,11 @@ def columns(recording: stillcal.Recording) -> dict[str, Any]:
     return table | dict(zip(("gx", "gy", "gz"), gyro.xyz.T, strict=True))
 
 
+def forces(recording: stillcal.Recording) -> stillcal.Recording:
+    """Return what its accelerometer recorded: what is judged so takes a fifth of the time."""
+    return stillcal.load({name: own for name, own in columns(recording).items() if name[0] != "g"})
+
+
 def loaded_by(statement: str) -> set[str]:
     """Return the top-level packages that a fresh interpreter has after a statement."""
     return set(printed_by(f"{statement}\nimport sys\nprint(*{{n.split('.')[0] for n in sys.modules}})"))
@@ -307,8 +312,9 @@ def test_a_phone_and_a_simulation_can_be_given(sample: stillcal.Recording) -> No
     own = stillcal.diagnose(sample, phone=SAMPLES / "lab.phone.toml")
     assert "gyro_bias_temperature" not in [f["effect"] for f in own.findings]
     again = stillcal.simulate(SAMPLES / "lab.scenario.toml", phone=SAMPLES / "lab.phone.toml", seed=2)
-    judged = stillcal.diagnose(sample, simulated=again)
+    judged = stillcal.diagnose(forces(sample), simulated=forces(again))
     assert judged.answer["schema"] == 2 and "accel_bias" not in [f["effect"] for f in judged.findings]
+    assert "accel_bias" in [a["effect"] for a in judged.answer["agreed"]]
     assert "checks possible" in repr(judged)
 
 
