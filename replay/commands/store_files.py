@@ -38,13 +38,18 @@ _path = click.Path(path_type=Path)
     epilog=examples(
         "stillcal store export store.json --to px4 --out imu.params",
         "stillcal store export store.json --to kalibr --phone phone.toml --out imu.yaml",
+        "stillcal store export store.json --to airsim --phone phone.toml --out settings.json",
         "stillcal store export store.json --to numpy --out correct.py",
     ),
 )
 @click.argument("path", type=_path)
 @click.option("--to", "tool", type=click.Choice(list(TARGETS)), required=True, help="The tool.")
 @click.option("--out", type=_path, required=True, help="The file to write ('-': standard output).")
-@click.option("--phone", help="Where noise comes from: a phone file that diagnose --phone-out wrote.")
+@click.option(
+    "--phone",
+    help="Where noise comes from: a phone file that diagnose --phone-out wrote. airsim and ros2 hold nothing"
+    " but noise and need it.",
+)
 def export_command(path: Path, tool: str, out: Path, phone: str | None) -> None:
     """Write the current calibration of the store PATH ('-': standard input) as another tool's own file.
 

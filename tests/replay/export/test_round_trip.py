@@ -13,12 +13,20 @@ from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.terms import polynomial
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.commands.store_files import export_command
 from stillcal.replay.export.imu import ImuParameters, SensorPart, facts, of_record
 from stillcal.replay.export.stored import not_in_file, record_of
 from stillcal.replay.export.target import Target, exported
 from stillcal.replay.export.targets import INVERTIBLE, TARGETS, target_named
 
 WITHIN = 1e-9
+
+
+def test_the_help_names_the_tools_that_are_refused_without_a_phone_file() -> None:
+    (option,) = [p for p in export_command.params if p.name == "phone"]
+    named = str(getattr(option, "help", "")).partition("wrote. ")[2].split()
+    needing = {name for name in TARGETS if target_named(name).needs_noise}
+    assert needing == set(named) & TARGETS.keys() != set()
 
 
 def random_imu(seed: int, *, bent: bool = False) -> ImuParameters:
