@@ -89,8 +89,8 @@ def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> Non
 
 
 @pytest.mark.slow
-def test_a_phone_file_is_judged_as_any_simulation_is(recording: Maker) -> None:
-    real = named(recording(THERMAL), "real.csv")
+def test_a_phone_file_is_judged_as_any_simulation_is() -> None:
+    real = named(recorded(phone_with(THERMAL), 5, part_s=200.0), "real.csv")
     right = judge_phone(real, phone_with(THERMAL), "phone.toml").answer
     assert right["verdict"] == "match", right["findings"]
     assert "accel_bias_temperature" in {a["effect"] for a in right["agreed"]}
