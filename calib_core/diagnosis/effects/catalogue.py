@@ -94,4 +94,4 @@ def effects_in(residuals: SensorResiduals, without: Collection[str] = ()) -> lis
 
 def nameless(effect: Effect) -> Effect:
     """Return an effect with the same driver and no word of physics."""
-    return effect.nameless(thresholds.UNKNOWN_HANDICAP, unknown_sentence(effect.follows))
+    return effect.nameless(thresholds.UNKNOWN_PENALTY, unknown_sentence(effect.follows))

@@ -71,7 +71,7 @@ class Unknown(Effect):
     def __init__(self, sensor: str, follows: str, parameter: Linear, penalty: float = 0.0) -> None:
         self.sensor, self.follows, self.parameters = sensor, follows, (parameter,)
         self.sentence = unknown_sentence(follows, self.what)
-        self.prior_penalty = penalty + thresholds.UNKNOWN_HANDICAP
+        self.prior_penalty = penalty + thresholds.UNKNOWN_PENALTY
 
 
 class UnknownCurve(Unknown):

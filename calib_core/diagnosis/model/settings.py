@@ -25,7 +25,7 @@ MAX_FINDINGS = 3
 LEAST_BINS = 12
 """Fewer still bins than this carry no slow diagnosis."""
 
-UNKNOWN_HANDICAP = 0.3
+UNKNOWN_PENALTY = 0.3
 """Score that structure without a name must give away."""
 
 UNKNOWN_MARGIN = 0.7

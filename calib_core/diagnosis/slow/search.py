@@ -352,8 +352,8 @@ def prefer_original(step: Step) -> Step:
 def _as_likely_beforehand(one: Scored) -> float:
     """Return a score without its penalty, which is for what wander looks like: here something surely is."""
     effect = one.hypothesis.effect
-    handicap = thresholds.UNKNOWN_HANDICAP if effect.name == "unknown" else 0.0
-    return one.score + effect.prior_penalty - handicap
+    penalty = thresholds.UNKNOWN_PENALTY if effect.name == "unknown" else 0.0
+    return one.score + effect.prior_penalty - penalty
 
 
 def sharpened(residuals: SensorResiduals, one: Scored, before: Sequence[Hypothesis]) -> Scored:
