@@ -7,11 +7,16 @@ rests that the calibration was fitted to, because its bias holds there. A term t
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from math import comb
+from typing import Any
+
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.corrections.base import PREFIX, UNIT, Correction, Drivers, Parameter
-from stillcal.calib_core.calibration.corrections.term import Term, lag_of
+from stillcal.calib_core.calibration.corrections.term import Term, TermParameter, lag_of
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import PLAUSIBLE_K
 from stillcal.calib_core.temperature.thermometer import felt
@@ -38,6 +43,30 @@ def learnt_between(low: float, high: float) -> tuple[float, float]:
     return low + beyond, high - beyond
 
 
+def _moved(parameters: Mapping[str, TermParameter], by: float) -> dict[str, TermParameter]:
+    """Return a polynomial's parameters about a temperature that is higher by `by` K.
+
+    What is constant goes into the bias, which is that of the calibration there. The errors of the powers are
+    taken for independent.
+    """
+    out = {}
+    for k, name in enumerate(POWER_NAMES, start=1):
+        if name not in parameters:
+            continue
+        parts = [
+            (comb(n, k) * by ** (n - k), parameters[higher])
+            for n, higher in enumerate(POWER_NAMES[k - 1 :], start=k)
+            if higher in parameters
+        ]
+        value = frozen(np.sum([factor * part.value for factor, part in parts], axis=0))
+        known = [(factor, part.ci95) for factor, part in parts if part.ci95 is not None]
+        reaches = [factor * np.ptp(ci95, axis=-1) / 2.0 for factor, ci95 in known]
+        reach = np.sqrt(np.sum(np.square(reaches), axis=0))
+        ci95 = frozen(np.stack([value - reach, value + reach], axis=-1)) if reaches else None
+        out[name] = replace(parameters[name], value=value, ci95=ci95)
+    return out
+
+
 class BiasTemperature(Correction):
     """The bias is a polynomial in temperature."""
 
@@ -50,6 +79,16 @@ class BiasTemperature(Correction):
             Parameter(name, f"{UNIT[sensor]}/K^{power}", _MOST[sensor], required=power == 1)
             for power, name in enumerate(POWER_NAMES, start=1)
         )
+
+    def term(self, sensor: Sensor, finding: Mapping[str, Any], reference: dict[str, float]) -> Term:
+        """Turn a finding into a checked term that counts from the temperature of `reference`, degC."""
+        found = super().term(sensor, finding, reference)
+        own = (finding.get("reference") or {}).get("temperature_c")
+        if own is None:
+            return found
+        moved = replace(found, parameters=_moved(found.parameters, reference["temperature"] - float(own)))
+        self.check(moved)
+        return moved
 
     def offset(self, term: Term, at: Drivers) -> Array | None:
         """Return the bias by temperature, (n, 3); zero where the temperature is unknown."""

@@ -83,6 +83,25 @@ def norm_error(record: CalibrationRecord, temperature: bool) -> float:
     return rms(norms - pool.held[0].gravity.value)
 
 
+def test_a_curve_counts_from_the_calibrations_own_temperature(record: CalibrationRecord) -> None:
+    """The diagnosis counted from 30 degC, the rests of the calibration lie about 22."""
+    told = finding(SLOPE, reference={"temperature_c": 30.0})
+    told["parameters"] |= {"quadratic": {"value": [2e-4, 0.0, -1e-4], "ci95": [[0.0, 4e-4]] * 3, "unit": ""}}
+    (term,) = with_terms(record, [told]).terms
+    quadratic = np.array([2e-4, 0.0, -1e-4])
+
+    own = term.reference["temperature"]
+    assert own == pytest.approx(22.0, abs=1.0)
+
+    def at(celsius: float) -> np.ndarray:
+        return np.asarray(SLOPE * (celsius - 30.0) + quadratic * (celsius - 30.0) ** 2)
+
+    warmer = 3.0 * term.parameters["slope"].value + 9.0 * term.parameters["quadratic"].value
+    np.testing.assert_allclose(warmer, at(own + 3.0) - at(own))
+    reach = np.hypot(1e-3, 2.0 * (own - 30.0) * 2e-4)
+    np.testing.assert_allclose(np.ptp(term.parameters["slope"].ci95, axis=1), 2.0 * reach)
+
+
 def test_a_warm_phone_is_corrected_on_rests_never_seen(record: CalibrationRecord) -> None:
     """15 K above the rests it was calibrated on the slope is 0.26 m/s^2; of that, one tenth is a bar."""
     before, after = norm_error(record, True), norm_error(with_terms(record, [finding(SLOPE)]), True)
