@@ -41,7 +41,7 @@ from stillcal.replay.diagnosis.residuals import residuals_csv
 from stillcal.replay.diagnosis.rest_table import diagnose_kept, diagnose_rests
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
-from stillcal.replay.formats.covariates import read_covariates
+from stillcal.replay.formats.covariates import columns_there, read_covariates
 from stillcal.replay.formats.daemon_state import is_daemon_state
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Recording
@@ -316,7 +316,8 @@ def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:
     if asked.simulated is not None:
         simulated = _read_simulation(asked, asked.simulated, show_stage, whole=whole)
         if asked.covariates:
-            simulated = replace(simulated, covariates=_columns_there(asked, asked.simulated))
+            columns = _columns_there(asked.simulated_reading, asked.simulated, asked.covariates)
+            simulated = replace(simulated, covariates=columns)
     witnesses = tuple(_witness(path, sensor, show_stage) for path, sensor in asked.witnesses)
     phone = None if asked.phone is None else _loaded(asked.phone)
     name = "" if asked.phone is None else short_name(asked.phone)
@@ -353,18 +354,18 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
 
 
 def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, TimeSeries]:
-    """Return further columns of a recording, by the time that its samples have."""
+    """Return further columns of a recording, all of which it must have."""
     if is_read_once(path):
         raise TraceError(path, "--covariate needs a file, to read it again", "save it as a file first")
-    return read_covariates(reading.open(path).first_file, names)
+    return read_covariates(reading.open(path), names)
 
 
-def _columns_there(asked: _Asked, path: Path) -> dict[str, TimeSeries]:
-    """Return those of the covariates that the simulation has as columns."""
+def _columns_there(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, TimeSeries]:
+    """Return those of the columns that a simulation has."""
     if is_read_once(path):
         return {}
-    file = asked.simulated_reading.open(path).first_file
-    return read_covariates(file, [name for name in asked.covariates if name in file.columns])
+    trace = reading.open(path)
+    return read_covariates(trace, columns_there(trace, names))
 
 
 def _read_simulation(asked: _Asked, path: Path, show_stage: ShowStage, *, whole: bool) -> Recording:

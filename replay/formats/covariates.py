@@ -11,38 +11,45 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.stream import SampleFile
+from stillcal.replay.formats.trace import Trace
 
 
-def read_covariates(file: SampleFile, names: Sequence[str]) -> dict[str, TimeSeries]:
-    """Return further columns of a recording's table, each over its time, s, without empty and nan cells.
+def read_covariates(trace: Trace, names: Sequence[str]) -> dict[str, TimeSeries]:
+    """Return further columns of a recording, each over its time, s, without empty and nan cells.
 
-    file: that the accelerometer is read from. Raises TraceError where it has no such column, a column holds
-    no numbers, or a cell of one that does is none.
+    They may stand in any table that the samples come from. Raises TraceError where none has such a column, a
+    column holds no numbers, or a cell of one that does is none.
     """
-    for name in names:
-        if name in file.own_columns:
-            what = f"{name!r} is a sensor's own column"
-            raise TraceError(file.path, what, "name a further one for --covariate")
-        if name not in file.columns:
-            raise TraceError(
-                file.path, f"it has no column {name!r}", f"it has {', '.join(file.columns) or 'none'}", 1
-            )
+    return {name: _read(_with(trace, name), name) for name in names}
+
+
+def columns_there(trace: Trace, names: Sequence[str]) -> list[str]:
+    """Return those of the names that a recording has as columns."""
+    return [name for name in names if any(name in file.columns for file in trace.files)]
+
+
+def _with(trace: Trace, name: str) -> SampleFile:
+    """Return the file that has a further column of that name. Raises TraceError."""
+    found = next((file for file in trace.files if name in file.further_columns), None)
+    if found is not None:
+        return found
+    if columns_there(trace, [name]):
+        raise TraceError(
+            trace.path, f"{name!r} is a sensor's own column", "name a further one for --covariate"
+        )
+    there = [column for file in trace.files for column in file.columns]
+    raise TraceError(trace.path, f"it has no column {name!r}", f"it has {', '.join(there) or 'none'}")
+
+
+def _read(file: SampleFile, name: str) -> TimeSeries:
+    choice = f"name a column of numbers; further ones: {', '.join(file.further_columns)}"
     try:
-        t, values = file.further(names)
+        t, values = file.further(name)
     except TraceError as error:
-        raise TraceError(error.file, error.what, f"mend the row, or {_choice(file)}", error.row) from error
-    return {name: _series(file, name, t, column) for name, column in zip(names, values.T, strict=True)}
-
-
-def _choice(file: SampleFile) -> str:
-    further = [name for name in file.columns if name not in file.own_columns]
-    return f"name a column of numbers; further ones: {', '.join(further)}"
-
-
-def _series(file: SampleFile, name: str, t: Array, values: Array) -> TimeSeries:
+        raise TraceError(error.file, error.what, f"mend the row, or {choice}", error.row) from error
     there = np.flatnonzero(np.isfinite(values))
     if not there.size:
-        raise TraceError(file.path, f"the column {name!r} holds no numbers", _choice(file))
+        raise TraceError(file.path, f"the column {name!r} holds no numbers", choice)
     ordered = there[np.argsort(t[there], kind="stable")]
     return TimeSeries(t[ordered], values[ordered])
 

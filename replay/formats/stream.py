@@ -80,9 +80,9 @@ class SampleFile:
         return list(self._table.names or [])
 
     @property
-    def own_columns(self) -> set[str]:
-        """The names of those that the samples are made of."""
-        return {self.columns[place] for place in self._layout.wanted} if self.columns else set()
+    def further_columns(self) -> list[str]:
+        """The names of those that the samples are not made of."""
+        return [name for i, name in enumerate(self.columns) if i not in self._layout.wanted]
 
     @property
     def sensors(self) -> list[Sensor]:
@@ -147,20 +147,19 @@ class SampleFile:
         if held_back is not None:
             yield self._run(held_back)
 
-    def further(self, names: Sequence[str]) -> tuple[Array, Array]:
-        """Return the stamps (n,), s, and further columns (n, k) of `columns`; NaN where a cell is empty.
+    def further(self, name: str) -> tuple[Array, Array]:
+        """Return the stamps (n,), s, and the values (n,) of a further column; NaN where a cell is empty.
 
         Raises TraceError at the first cell that is no number.
         """
         self._begin()
-        own = len(self._layout.wanted)
-        places = [*self._layout.wanted, *(self.columns.index(name) for name in names)]
-        stamps, values = [np.empty(0)], [np.empty((0, len(names)))]
+        stamps, values = [np.empty(0)], [np.empty(0)]
+        places = [*self._layout.wanted, self.columns.index(name)]
         for block in self._table.blocks(places, self._key):
-            stamps.append(self._stamps(block.values[:, :own], sum(len(t) for t in stamps)))
-            values.append(block.values[:, own:])
-        table = np.concatenate(values)
-        return np.concatenate(stamps), np.where(table == EMPTY, np.nan, table)
+            stamps.append(self._stamps(block.values[:, :-1], sum(len(t) for t in stamps)))
+            values.append(block.values[:, -1])
+        column = np.concatenate(values)
+        return np.concatenate(stamps), np.where(column == EMPTY, np.nan, column)
 
     def _check_finite(self, values: Array, lines: NDArray[np.int64]) -> None:
         """Raise TraceError for values that are not finite, and for empty cells that must have a number."""

@@ -155,9 +155,9 @@ class Trace:
         return any(file.has_arrival for file in self._files)
 
     @property
-    def first_file(self) -> SampleFile:
-        """The file that the accelerometer is read from."""
-        return self._files[0]
+    def files(self) -> list[SampleFile]:
+        """The tables that the samples are read from, the accelerometer's first."""
+        return list(self._files)
 
     @property
     def size_bytes(self) -> int:

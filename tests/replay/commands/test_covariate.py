@@ -106,7 +106,7 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
 
 
 def test_python_takes_the_column_as_values_or_with_times_of_its_own(log: Path) -> None:
-    (read,) = read_covariates(open_trace(log).first_file, ["battery_v"]).values()
+    (read,) = read_covariates(open_trace(log), ["battery_v"]).values()
     recording = stillcal.load(log)
     answer = stillcal.diagnose(recording, covariates={"battery_v": (read.t, read.values)})
     assert [f["effect"] for f in answer.findings] == ["gyro_bias_battery_v"]
@@ -136,7 +136,7 @@ def test_values_that_cannot_be_used_are_refused(values: Any, fault: str) -> None
 def examined_with(path: Path, column: bool = True) -> Examination:
     """Return the examination of a log, with its column or without."""
     recording = open_trace(path).recording(path.name)
-    logged = read_covariates(open_trace(path).first_file, ["battery_v"]) if column else {}
+    logged = read_covariates(open_trace(path), ["battery_v"]) if column else {}
     return examined(replace(recording, covariates=logged))
 
 
@@ -238,7 +238,7 @@ def test_a_column_without_numbers_names_the_further_ones(tmp_path: Path, cell: s
 def test_a_cell_of_nan_is_left_out(tmp_path: Path) -> None:
     path = tmp_path / "sparse.csv"
     path.write_text("t,ax,ay,az,load\n0,0,0,9.8,3\n1,0,0,9.8,nan\n2,0,0,9.8,5\n")
-    load = read_covariates(open_trace(path).first_file, ["load"])["load"]
+    load = read_covariates(open_trace(path), ["load"])["load"]
     assert load.at(np.array([1.0])) == pytest.approx(4.0)
 
 
@@ -262,9 +262,18 @@ def test_a_column_is_read_from_every_kind_of_table(tmp_path: Path, ending: str) 
     else:
         rows = [dict(zip(table, map(float, row), strict=True)) for row in zip(*table.values(), strict=True)]
         path.write_text(json.dumps([{k: v for k, v in row.items() if v == v} for row in rows]))
-    load = read_covariates(open_trace(path).first_file, ["load"])["load"]
+    load = read_covariates(open_trace(path), ["load"])["load"]
     np.testing.assert_allclose(load.t, t[::5])
     np.testing.assert_allclose(load.values, t[::5])
+
+
+def test_a_column_of_the_gyroscopes_own_table_is_read_by_its_time(tmp_path: Path) -> None:
+    t, slow = np.arange(300) / 50.0, np.arange(30) / 5.0
+    force, rates = tmp_path / "accelerometer.csv", tmp_path / "gyroscope.csv"
+    force.write_text("t,ax,ay,az\n" + "".join(f"{x},0.1,0.2,9.8\n" for x in t))
+    rates.write_text("t,gx,gy,gz,load\n" + "".join(f"{x},0.01,0.02,0.01,{2 * x}\n" for x in slow))
+    load = read_covariates(open_trace(force, gyro=rates), ["load"])["load"]
+    np.testing.assert_allclose([load.t, load.values], [slow, 2.0 * slow])
 
 
 def test_a_column_is_read_over_the_time_of_a_recognised_log(tmp_path: Path) -> None:
@@ -273,7 +282,7 @@ def test_a_column_is_read_over_the_time_of_a_recognised_log(tmp_path: Path) -> N
     rows = [f"{20 * i + 5000},0.1,0.2,9.8,{i / 10 if i % 5 == 0 else ''}" for i in range(500)]
     path.write_text("\n".join(["timestamp,ax,ay,az,load", *rows]) + "\n")
     opened = open_trace(path)
-    load = read_covariates(opened.first_file, ["load"])["load"]
+    load = read_covariates(opened, ["load"])["load"]
     samples = opened.recording("foreign").accelerometer
     np.testing.assert_allclose(load.t, samples.t[::5])
     np.testing.assert_allclose(load.at(samples.t[50:51]), 5.0)
@@ -288,5 +297,5 @@ def test_dates_are_read_as_the_samples_dates_are(tmp_path: Path) -> None:
     rows = [f"{stamp},0.1,0.2,9.8,{i}" for i, stamp in enumerate(stamps)]
     path.write_text("\n".join(["time,ax,ay,az,load", *rows]) + "\n")
     opened = open_trace(path)
-    load = read_covariates(opened.first_file, ["load"])["load"]
+    load = read_covariates(opened, ["load"])["load"]
     np.testing.assert_allclose(load.t, opened.recording("dated").accelerometer.t)
