@@ -42,7 +42,8 @@ def _with(trace: Trace, name: str) -> SampleFile:
 
 
 def _read(file: SampleFile, name: str) -> TimeSeries:
-    choice = f"name a column of numbers; further ones: {', '.join(file.further_columns)}"
+    others = [other for other in file.further_columns if other != name]
+    choice = f"name a column of numbers; further ones: {', '.join(others) or 'none'}"
     try:
         t, values = file.further(name)
     except TraceError as error:

@@ -23,6 +23,7 @@ from stillcal.replay.formats.clock import Clock, Rows, seconds_per_unit
 from stillcal.replay.formats.columns import TIME_UNITS, ColumnMap, SensorMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.tables.layout import lay_out, selection
+from stillcal.replay.formats.tables.numbers import NumberTable
 from stillcal.replay.formats.tables.table import EMPTY, Table
 
 CLOCKS_AGREE = 0.05
@@ -152,9 +153,12 @@ class SampleFile:
 
         Raises TraceError at the first cell that is no number.
         """
+        at = self.columns.index(name)
+        if isinstance(self._table, NumberTable) and self._table.texts(at) is not None:
+            raise TraceError(self.path, f"the column {name!r} holds texts", "name a column of numbers")
         self._begin()
         stamps, values = [np.empty(0)], [np.empty(0)]
-        places = [*self._layout.wanted, self.columns.index(name)]
+        places = [*self._layout.wanted, at]
         for block in self._table.blocks(places, self._key):
             stamps.append(self._stamps(block.values[:, :-1], sum(len(t) for t in stamps)))
             values.append(block.values[:, -1])

@@ -133,6 +133,14 @@ def test_values_that_cannot_be_used_are_refused(values: Any, fault: str) -> None
     assert str(refused.value).startswith("load: ")
 
 
+def test_a_data_frame_of_columns_is_taken_as_a_mapping_is() -> None:
+    pandas = pytest.importorskip("pandas")
+    with pytest.raises(TraceError, match=r"^load: the covariate has shape \(3,\)"):
+        stillcal.diagnose("sample:lab", covariates=pandas.DataFrame({"load": [1.0, 2.0, 3.0]}))
+    with pytest.raises(TypeError, match="a mapping, or a data frame"):
+        stillcal.diagnose("sample:lab", covariates=["load"])  # type: ignore[arg-type]
+
+
 def examined_with(path: Path, column: bool = True) -> Examination:
     """Return the examination of a log, with its column or without."""
     recording = open_trace(path).recording(path.name)
@@ -232,7 +240,7 @@ def test_a_column_without_numbers_names_the_further_ones(tmp_path: Path, cell: s
     code, text = run(path, "--covariate", "mode")
     assert code == 2
     assert ("the column 'mode' holds no numbers" if cell == "nan" else "column 'mode' holds 'wifi'") in text
-    assert "name a column of numbers; further ones: mode, load" in text
+    assert "name a column of numbers; further ones: load" in text
 
 
 def test_a_cell_of_nan_is_left_out(tmp_path: Path) -> None:
@@ -265,6 +273,15 @@ def test_a_column_is_read_from_every_kind_of_table(tmp_path: Path, ending: str) 
     load = read_covariates(open_trace(path), ["load"])["load"]
     np.testing.assert_allclose(load.t, t[::5])
     np.testing.assert_allclose(load.values, t[::5])
+
+
+def test_a_column_of_texts_is_no_column_of_numbers(tmp_path: Path) -> None:
+    arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    t = np.arange(300) / 50.0
+    table = {"t": t, "ax": 0.1 + 0.0 * t, "ay": 0.2 + 0.0 * t, "az": 9.8 + 0.0 * t, "mode": ["a", "b"] * 150}
+    parquet.write_table(arrow.table(table), tmp_path / "log.parquet")
+    with pytest.raises(TraceError, match="the column 'mode' holds texts"):
+        read_covariates(open_trace(tmp_path / "log.parquet"), ["mode"])
 
 
 def test_a_column_of_the_gyroscopes_own_table_is_read_by_its_time(tmp_path: Path) -> None:
