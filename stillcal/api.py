@@ -323,8 +323,9 @@ def diagnose(
     judged, a ready phone's name or the path of a phone.toml; None for the phone that calibration assumes,
     with constant scale and bias and plain noise. simulated: what any simulator recorded; it is then judged
     instead. paired: it has the recording's own motion and stamps. witnesses: recordings by other sensors on
-    the same body at the same time. covariates: further quantities that a bias may follow, by name: (n,) one
-    value for each of the accelerometer's samples, or a pair of times (m,) s and values (m,).
+    the same body at the same time. covariates: further quantities that a bias may follow, by name, or a
+    pandas data frame of them: (n,) one value for each of the accelerometer's samples, or a pair of times
+    (m,) s and values (m,).
 
     The answer has schema 2 (what differs, what agrees, what could not be compared).
 
@@ -333,7 +334,10 @@ def diagnose(
     """
     others = tuple(witnesses)
     given = {"simulated": simulated is not None, "phone": phone is not None, "paired": paired}
-    given |= {"witness": bool(others), "covariate": bool(covariates)}
+    if covariates is not None and not is_table(covariates):
+        raise TypeError("covariates are values by name: a mapping, or a data frame")
+    columns = {} if covariates is None else dict(covariates)
+    given |= {"witness": bool(others), "covariate": bool(columns)}
     if why := conflict([name for name, there in given.items() if there]):
         raise ValueError(why)
     request = Request(
@@ -344,9 +348,9 @@ def diagnose(
         witnesses=tuple(load(other) for other in others),
     )
     opened = load(recording)
-    if covariates:
+    if columns:
         stamps = opened.accelerometer.t
-        series = {name: of_values(name, values, stamps) for name, values in covariates.items()}
+        series = {name: of_values(name, values, stamps) for name, values in columns.items()}
         opened = replace(opened, covariates=series)
     return Diagnosis(find_differences(opened, request).judged.answer)
 
