@@ -164,9 +164,10 @@ def _of_any_length(places: Places | None, sensor: str, short: Stretches | None) 
 
 
 def _narrow(seen: Stretches, line: Finding) -> bool:
-    """Whether a line is narrow in these stretches too, those that hold a part of it."""
+    """Whether a line is narrow in these stretches too, those that hold a part of it; not where none does."""
     rows = np.flatnonzero((seen.span[:, 1] > line.where.t_start) & (seen.span[:, 0] < line.where.t_end))
-    return narrow(profile(seen, rows, round(middle_hz(line) / float(seen.f[1]))), 3 * rows.size)
+    at = round(middle_hz(line) / float(seen.f[1]))
+    return rows.size > 0 and narrow(profile(seen, rows, at), 3 * rows.size)
 
 
 def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> tuple[list[Finding], bool]:

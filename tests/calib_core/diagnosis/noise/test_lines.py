@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -342,3 +343,12 @@ def test_stretches_of_each_length_are_laid_out_once(monkeypatch: pytest.MonkeyPa
     assert steady_period(samples, "accel", rests) is None
     assert asked.count(spectral_line.SHORT) == 1
     assert len(asked) == len(set(asked))
+
+
+def test_what_no_stretch_shows_is_not_narrow() -> None:
+    samples = lying(humming({30.0: 0.004}))
+    rests = AtRest.of(samples, "accel")
+    (line,) = tones(samples, "accel", rests)
+    elsewhere = replace(line, where=replace(line.where, t_start=1000.0, t_end=1030.0))
+    assert rests.short is not None
+    assert spectral_line._narrow(rests.short, line) and not spectral_line._narrow(rests.short, elsewhere)
