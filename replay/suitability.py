@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.catalogue import follows_charger
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rms import rms
@@ -73,11 +73,7 @@ class Suitability:
         )
 
     def _charging(self) -> str:
-        follows = any(
-            term.effect == BY_CHARGING or term.effect.endswith("_charging_bias")
-            for term in self._record.terms
-        )
-        if len(self._charger.t) or not follows:
+        if len(self._charger.t) or not any(map(follows_charger, self._record.terms)):
             return ""
         return (
             "the bias follows the charger, and the recording does not say when the phone was on it "

@@ -25,6 +25,7 @@ from stillcal.calib_core.calibration.acceptance import (
     flipped_share,
     sums_by_block,
 )
+from stillcal.calib_core.calibration.corrections.base import REACH_OF_95
 from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
@@ -560,7 +561,7 @@ def _term(sensor: Sensor, forecast: Forecast) -> Term:
     lag = {"lag_s": forecast.lag_s} if forecast.lag_s else {}
 
     def parameter(power: int, per: float, unit: str) -> TermParameter:
-        value, reach = forecast.curve[power - 1] * per, 1.96 * sd[power - 1] * per
+        value, reach = forecast.curve[power - 1] * per, REACH_OF_95 * sd[power - 1] * per
         ci95 = frozen(np.stack([value - reach, value + reach], axis=1))
         return TermParameter(value=frozen(value), unit=unit, ci95=ci95)
 

@@ -13,7 +13,7 @@ import numpy as np
 from stillcal._version import __version__
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.corrections.base import Drivers
-from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
+from stillcal.calib_core.calibration.corrections.catalogue import follows_charger
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord, SensorRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest
 from stillcal.calib_core.calibration.terms import offsets, terms_uncertainty
@@ -103,10 +103,7 @@ def _at_present(
         follows_temperature=any(
             t.effect.endswith("_temperature") and t.sensor == sensor for t in record.terms
         ),
-        follows_charging=any(
-            t.effect in {BY_CHARGING, "accel_charging_bias", "gyro_charging_bias"} and t.sensor == sensor
-            for t in record.terms
-        ),
+        follows_charging=any(follows_charger(t) and t.sensor == sensor for t in record.terms),
     )
     typical = bias + (STANDARD / np.sqrt(3.0) if sensor is Sensor.ACCELEROMETER else 0.0)
     by_terms = terms_uncertainty(record, sensor, dataclasses.replace(drivers, raw=typical[None]))

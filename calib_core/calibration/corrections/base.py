@@ -16,6 +16,9 @@ REACH_OF_95 = 1.96
 """Standard uncertainties from a value to an end of its 95 % interval."""
 
 UNIT = {Sensor.ACCELEROMETER: "m/s^2", Sensor.GYROSCOPE: "rad/s"}
+LARGEST_BIAS = {Sensor.ACCELEROMETER: 5.0, Sensor.GYROSCOPE: 0.5}
+"""Half of gravity, and 30 degrees a second: no change of a bias is larger."""
+
 PREFIX = {Sensor.ACCELEROMETER: "accel", Sensor.GYROSCOPE: "gyro"}
 
 
@@ -56,8 +59,9 @@ class Correction:
     the formula. references: names of what the parameters count from. of_reading: whether it follows what the
     sensor itself reads; else it is a bias. has_forecast: whether the forecast of the bias states how
     uncertain it is. refits: whether a calibration that takes it up is fitted anew to its own rests, because
-    its bias and scale hold a part of it. in_turns: whether the scale that was fitted to turns does. driver:
-    what the effect follows, in words, and remedy: what a calibration needs whose rests do not tell it.
+    its bias and scale hold a part of it. in_turns: whether the scale that was fitted to turns does.
+    by_charger: whether it follows the charger. driver: what it follows, in words, and remedy: what a
+    calibration needs whose rests do not tell it.
     """
 
     effect: str
@@ -68,6 +72,7 @@ class Correction:
     has_forecast: ClassVar[bool] = False
     refits: ClassVar[bool] = False
     in_turns: bool = False
+    by_charger: ClassVar[bool] = False
     driver: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
 

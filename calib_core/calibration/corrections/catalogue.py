@@ -27,6 +27,12 @@ CORRECTIONS: dict[str, Correction] = {
 }
 
 
+def follows_charger(term: Term) -> bool:
+    """Tell whether a term follows the charger."""
+    correction = CORRECTIONS.get(term.effect)
+    return correction is not None and correction.by_charger
+
+
 def check_terms(terms: Iterable[Term]) -> None:
     """Refuse terms that cannot be applied as they are: ValueError. An effect that is not known here passes.
 

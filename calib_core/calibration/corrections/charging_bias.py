@@ -7,24 +7,30 @@ from collections.abc import Mapping
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.corrections.base import PREFIX, UNIT, Correction, Drivers, Parameter
+from stillcal.calib_core.calibration.corrections.base import (
+    LARGEST_BIAS,
+    PREFIX,
+    UNIT,
+    Correction,
+    Drivers,
+    Parameter,
+)
 from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.charger import FULL_K
-
-_MOST = {Sensor.ACCELEROMETER: 5.0, Sensor.GYROSCOPE: 0.5}
 
 
 class ChargingBias(Correction):
     """The bias gains a step on the charger."""
 
     refits = True
+    by_charger = True
     driver = "whether the phone was on the charger"
     remedy = "a calibration from a recording with charging events, by this version"
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor, self.effect = sensor, f"{PREFIX[sensor]}_charging_bias"
-        self.parameters = (Parameter("step", UNIT[sensor], _MOST[sensor]),)
+        self.parameters = (Parameter("step", UNIT[sensor], LARGEST_BIAS[sensor]),)
 
     def response(self, term: Term, at: Drivers) -> Mapping[str, Array] | None:
         """Return 1 on the charger and 0 off it."""

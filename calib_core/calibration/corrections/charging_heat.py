@@ -20,6 +20,7 @@ class ChargingHeat(Correction):
     sensor = None
     parameters = (Parameter("amplitude", "", 10.0),)
     has_forecast = True
+    by_charger = True
 
     def offset(self, term: Term, at: Drivers) -> Array | None:
         """Return the bias by the charger's heat, (n, 3); zero where that is unknown."""

@@ -7,11 +7,17 @@ from collections.abc import Mapping
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.corrections.base import PREFIX, UNIT, Correction, Drivers, Parameter
+from stillcal.calib_core.calibration.corrections.base import (
+    LARGEST_BIAS,
+    PREFIX,
+    UNIT,
+    Correction,
+    Drivers,
+    Parameter,
+)
 from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.streams.samples import Sensor
 
-_MOST = {Sensor.ACCELEROMETER: 5.0, Sensor.GYROSCOPE: 0.5}
 _SHORTEST_S, _LONGEST_S = 1.0, 1e5
 
 
@@ -24,7 +30,7 @@ class Warmup(Correction):
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor, self.effect = sensor, f"{PREFIX[sensor]}_warmup"
-        amplitude = Parameter("amplitude", UNIT[sensor], _MOST[sensor])
+        amplitude = Parameter("amplitude", UNIT[sensor], LARGEST_BIAS[sensor])
         self.parameters = (amplitude, Parameter("tau_s", "s", _LONGEST_S, ()))
 
     def response(self, term: Term, at: Drivers) -> Mapping[str, Array] | None:

@@ -220,12 +220,14 @@ def aligned(
             if max(np.abs(step).max(), np.abs(error).max()) < SETTLED:
                 break
         baseline = linearised(steady, x)
-        joint, _ = _rows(_carried(found, steady, x, mapping), norms, x, mapping)
+    turns = _carried(found, steady, x, mapping)
+    if len(found) >= LEAST_TURNS:
+        joint, _ = _rows(turns, norms, x, mapping)
         errors = np.linalg.inv(np.linalg.qr(joint, mode="r"))
     design, _ = norms.rows(x)
     unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
     bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
-    return Aligned(_carried(found, steady, x, mapping), baseline, bias, mapping, unsure, errors)
+    return Aligned(turns, baseline, bias, mapping, unsure, errors)
 
 
 def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[Turn]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import affine
+from stillcal.calib_core.maths.integral import running
 
 
 def affine_columns(t: Array, back: Array, rate: Array, raw: Array, parameters: Array) -> Array:
@@ -22,6 +23,5 @@ def affine_columns(t: Array, back: Array, rate: Array, raw: Array, parameters: A
     _, force, moved = affine(raw, parameters)
     still = np.einsum("nij,nj->ni", back, force).mean(axis=0)
     turned = np.einsum("nij,nk->nijk", back, rate).reshape(len(t), 3, 9)
-    steps = 0.5 * (turned[1:] + turned[:-1]) * np.diff(t)[:, None, None]
-    tilt = np.concatenate([np.zeros((1, 3, 9)), np.cumsum(steps, axis=0)])
+    tilt = running(t, turned)
     return np.concatenate([back @ moved, np.cross(tilt, still[None, :, None], axis=1)], axis=2)

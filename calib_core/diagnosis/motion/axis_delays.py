@@ -14,6 +14,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, vector
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
+from stillcal.calib_core.maths.integral import running
 
 DRIVER = "rate of turn, axis by axis"
 SENSORS = ("accel", "gyro")
@@ -40,8 +41,7 @@ def axis_columns(t: Array, back: Array, rate: Array, up: Array, gravity: float) 
     accel = -back * changing[:, None, :]
     along = back * rate[:, None, :]
     swept = np.einsum("nij,nbj->nib", back, np.cross(rate[:, None, :], np.eye(3)[None])) * rate[:, None, :]
-    steps = 0.5 * (swept[1:] + swept[:-1]) * np.diff(t)[:, None, None]
-    turned = along - np.concatenate([np.zeros((1, 3, 3)), np.cumsum(steps, axis=0)])
+    turned = along - running(t, swept)
     gyro = gravity * np.cross(up[None, :, None], turned, axis=1)
     return np.concatenate([accel[:, :, :2] - accel[:, :, 2:], gyro[:, :, :2] - gyro[:, :, 2:]], axis=2)
 
