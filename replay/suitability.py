@@ -1,4 +1,4 @@
-"""Whether a calibration suits a recording that it is applied to: temperature, charger, and raw samples."""
+"""Whether a calibration suits a recording that it is applied to: temperature, charger, start, raw samples."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.corrections.catalogue import follows_charger
+from stillcal.calib_core.calibration.corrections.catalogue import follows_charger, follows_start
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rms import rms
@@ -31,10 +31,14 @@ SLACK_C = 1.0
 
 
 class Suitability:
-    """Looks at a recording while a calibration is applied to it."""
+    """Looks at a recording while a calibration is applied to it.
 
-    def __init__(self, record: CalibrationRecord) -> None:
+    start_is_known: whether somebody said how long the phone had been on when the recording began.
+    """
+
+    def __init__(self, record: CalibrationRecord, *, start_is_known: bool = False) -> None:
         self._record = record
+        self._start_is_known = start_is_known
         self._means: list[Array] = []
         self._coldest, self._hottest = np.inf, -np.inf
         self._charger = Charger()
@@ -50,9 +54,9 @@ class Suitability:
         self._means += list(windows[still].mean(axis=1)[: MOST_WINDOWS - len(self._means)])
 
     def warnings(self) -> list[str]:
-        """Say what speaks against the calibration, a sentence each."""
-        texts = (self._lacking(), self._temperature(), self._charging(), self._corrected_already())
-        return [text for text in texts if text]
+        """Say what speaks against the calibration, or was assumed, a sentence each."""
+        checks = (self._lacking, self._temperature, self._charging, self._start, self._corrected_already)
+        return [text for check in checks if (text := check())]
 
     def _lacking(self) -> str:
         if self._record.accelerometer is not None:
@@ -78,6 +82,15 @@ class Suitability:
         return (
             "the bias follows the charger, and the recording does not say when the phone was on it "
             "(charging events): corrected as off the charger"
+        )
+
+    def _start(self) -> str:
+        effects = [term.effect for term in self._record.terms if follows_start(term)]
+        if self._start_is_known or not effects:
+            return ""
+        return (
+            f"{' and '.join(effects)}: corrected as if the phone was switched on when the recording began;"
+            " if it was on before, say for how long (--on-for SECONDS, in Python on_for=)"
         )
 
     def _corrected_already(self) -> str:

@@ -25,7 +25,6 @@ import msgspec
 from numpy.typing import ArrayLike
 
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
-from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
@@ -33,8 +32,8 @@ from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.samples import warmed
 from stillcal.calib_core.streams.smoothing import smoothed
-from stillcal.calib_core.temperature.charger import Charger
 from stillcal.daemon.store.document import calibration_json
+from stillcal.replay.corrector import Corrector
 from stillcal.replay.diagnosis.diagnose import Request, conflict
 from stillcal.replay.diagnosis.diagnose import diagnose as find_differences
 from stillcal.replay.diagnosis.words.summary import summary
@@ -251,26 +250,38 @@ def calibrate(
     return Calibration(record, outcome, tuple(full(actions)), opened.name)
 
 
-def apply(recording: Source, calibration: Calibration | PathLike, *, smooth: bool = False) -> Recording:
+def apply(
+    recording: Source,
+    calibration: Calibration | PathLike,
+    *,
+    smooth: bool = False,
+    on_for: float | None = None,
+) -> Recording:
     """Return the recording as true sensors would have given it, as `stillcal apply` writes it.
 
     recording: a Recording, or what `load` takes. calibration: a Calibration, or the path of a store. A sensor
     of which the calibration holds nothing stays as it is. smooth: also remove noise by a rolling mean of 3 to
     20 samples, by rate (Grammenos et al. 2018, Table 2); stamps stay, so values come late by half of that.
-    `.save("true.csv")` writes the result. Raises UserError where the store cannot be read or holds nothing.
+    on_for: s, how long the phone had been switched on when the recording began, which a warm-up follows; None
+    counts as 0. The result's `notes` say what speaks against the calibration on this recording, or was
+    assumed. `.save("true.csv")` writes the result. Raises UserError where the store cannot be read or holds
+    nothing.
     """
     opened = load(recording)
     known = calibration if isinstance(calibration, Calibration) else Calibration.read(calibration)
-    charger = Charger().with_events(opened.events)
-    started = float(opened.accelerometer.t[0]) if len(opened.accelerometer) else None
-    accelerometer, gyroscope = correct_both(
-        known.record, opened.accelerometer, opened.gyroscope, charger=charger, started=started
-    )
+    corrector = Corrector(known.record, opened.beginning, on_for)
+    accelerometer, gyroscope = corrector.corrected(opened.accelerometer, opened.gyroscope, opened.events)
     claims = opened.claims.without_counts()
     if smooth:
         accelerometer, claims = smoothed(accelerometer), claims.without_noise()
         gyroscope = None if gyroscope is None else smoothed(gyroscope)
-    return replace(opened, accelerometer=accelerometer, gyroscope=gyroscope, claims=claims)
+    return replace(
+        opened,
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        claims=claims,
+        notes=[*opened.notes, *corrector.warnings()],
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,6 @@ import click
 from rich.console import Console
 from rich.table import Table
 
-from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
@@ -21,11 +19,9 @@ from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.streams.smoothing import RollingMean
-from stillcal.calib_core.temperature.charger import Charger
-from stillcal.calib_core.temperature.thermometer import Thermometer
 from stillcal.daemon.cli.exits import TOO_LITTLE
 from stillcal.daemon.cli.lazy import examples
-from stillcal.daemon.cli.options import config_option, quiet_option
+from stillcal.daemon.cli.options import FiniteRange, config_option, quiet_option
 from stillcal.daemon.cli.progress import progress
 from stillcal.daemon.settings import load_settings
 from stillcal.daemon.store.document import calibration_json, pretty
@@ -40,13 +36,13 @@ from stillcal.replay.commands.outputs import (
     write_output,
 )
 from stillcal.replay.commands.reading import Reading, reading_options, show_notes
+from stillcal.replay.corrector import Corrector
 from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
 from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
 from stillcal.replay.runner import Outcome, calibrated_by_faces, replay, replay_rests, with_choices
-from stillcal.replay.suitability import Suitability
 
 _existing = click.Path(path_type=Path)
 
@@ -149,9 +145,22 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     is_flag=True,
     help="Also remove noise by a rolling mean of 3 to 20 samples, by rate; the values then come late.",
 )
+@click.option(
+    "--on-for",
+    type=FiniteRange(0),
+    metavar="SECONDS",
+    help="How long the phone had been switched on when the recording began; a warm-up counts from there"
+    " [default: 0].",
+)
 @quiet_option
 def apply_command(  # noqa: PLR0917 - click hands every option over by name
-    trace: Path, store_path: Path, out: Path, reading: Reading, smooth: bool, quiet: bool
+    trace: Path,
+    store_path: Path,
+    out: Path,
+    reading: Reading,
+    smooth: bool,
+    on_for: float | None,
+    quiet: bool,
 ) -> None:
     """Write the recording with its sensor errors corrected: scale @ (raw - bias).
 
@@ -164,18 +173,18 @@ def apply_command(  # noqa: PLR0917 - click hands every option over by name
     refuse_collisions(
         new_recording_files(out), [*recording_files(trace), *reading.files, *store_files(store_path)]
     )
-    opened, suits = reading.open(trace), Suitability(record)
+    opened = reading.open(trace)
+    corrector = Corrector(record, opened.beginning, on_for)
     means = _rolling_means(opened) if smooth else {}
     with (
         progress(short_name(opened.path), opened.size_bytes, quiet) as step,
-        _writer(opened, out, record, means) as write,
+        _writer(opened, out, corrector, means) as write,
     ):
         for chunk in opened.chunks():
-            suits.see(chunk.accelerometer, chunk.events)
             write(chunk)
             step(opened.bytes_read)
     show_notes(opened.notes, quiet)
-    for warning in suits.warnings():
+    for warning in corrector.warnings():
         click.echo(f"stillcal: {input_name(trace)}: {warning}", err=True)
     if not quiet:
         say(out, f"corrected with calibration {record.id}")
@@ -195,7 +204,7 @@ def _rolling_means(opened: Trace) -> dict[Sensor, RollingMean]:
 
 @contextmanager
 def _writer(
-    opened: Trace, out: Path, record: CalibrationRecord, means: Mapping[Sensor, RollingMean]
+    opened: Trace, out: Path, corrector: Corrector, means: Mapping[Sensor, RollingMean]
 ) -> Iterator[Callable[[Chunk], None]]:
     """Give a function that writes corrected and perhaps smoothed chunks; an error leaves no file behind.
 
@@ -211,20 +220,10 @@ def _writer(
         arrival=first.accelerometer.t_arrival is not None,
         claims=claims.without_noise() if means else claims,
     ) as writer:
-        thermometer, charger = Thermometer(), Charger()
-        started: float | None = None
 
         def write(chunk: Chunk) -> None:
-            nonlocal thermometer, charger, started
-            if started is None and len(chunk.accelerometer):
-                started = float(chunk.accelerometer.t[0])
-            charger = charger.with_events(chunk.events)
             gyroscope = chunk.gyroscope if opened.has_gyroscope else None
-            accel, gyro = correct_both(
-                record, chunk.accelerometer, gyroscope, thermometer, charger, started=started
-            )
-            if len(accel) and accel.temperature is not None:
-                thermometer = thermometer.with_readings(accel.t, accel.temperature)
+            accel, gyro = corrector.corrected(chunk.accelerometer, gyroscope, chunk.events)
             if means:
                 accel = means[accel.sensor].smoothed_samples(accel)
                 gyro = None if gyro is None else means[gyro.sensor].smoothed_samples(gyro)

@@ -151,7 +151,7 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
     Raises the errors of Trace.chunks, UserError where it is longer than LONGEST_DAYS.
     path: as it was asked for; the recording is called so. progress: is called with the share that is read.
     """
-    condenser = Condenser(name=trace.name_of(path))
+    condenser, begun = Condenser(name=trace.name_of(path)), trace.beginning
     events: list[Event] = []
     for chunk in trace.chunks(BLOCK):
         condenser.add(chunk.accelerometer, chunk.gyroscope)
@@ -160,7 +160,7 @@ def read_condensed(trace: Trace, path: Path, progress: Callable[[float], None] |
             progress(trace.bytes_read / max(trace.size_bytes, 1))
     none = Samples.empty(Sensor.ACCELEROMETER)
     gyroscope = Samples.empty(Sensor.GYROSCOPE) if trace.has_gyroscope else None
-    about = Recording(none, gyroscope, events, trace.claims, trace.notes, trace.name_of(path))
+    about = Recording(none, gyroscope, events, trace.claims, trace.notes, trace.name_of(path), begun=begun)
     recording = condenser.recording(about)
     recording = replace(recording, delivered_twice=trace.delivered_twice(recording.accelerometer))
     if (arrow := sys.modules.get("pyarrow")) is not None:  # keeps what its reader has freed for the next one
@@ -181,4 +181,4 @@ def condensed(recording: Recording) -> Recording:
     condenser = Condenser(name=recording.name)
     for chunk in recording.chunks(BLOCK):
         condenser.add(chunk.accelerometer, chunk.gyroscope)
-    return condenser.recording(recording)
+    return condenser.recording(replace(recording, begun=recording.beginning))

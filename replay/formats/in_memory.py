@@ -134,7 +134,13 @@ def part_of(recording: Recording, start: float | None, stop: float | None) -> Re
     events = cut.started(recording.events, *pairs[0])
     end = max(float(s.t[-1]) for s in pairs[-1] if len(s))
     kept = events if stop is None else [event for event in events if event.t <= end]
-    return replace(recording, accelerometer=accelerometer, gyroscope=gyroscope, events=kept)
+    return replace(
+        recording,
+        accelerometer=accelerometer,
+        gyroscope=gyroscope,
+        events=kept,
+        begun=recording.beginning,
+    )
 
 
 def of_arrays(

@@ -16,6 +16,7 @@ from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.daemon.system.files import short_name
+from stillcal.replay.formats.beginning import ROWS, Beginning
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.conversion.by_name import writer_class
@@ -46,7 +47,8 @@ class Recording:
     recording has none. events: charging and location, in time order. claims: what the maker claims of the
     phone. notes: what was tolerated or chosen while reading, a line each. name: what it is called in results.
     covariates: further logged columns by name (`covariates.read_covariates`), which a bias may follow.
-    delivered_twice: how many samples of the accelerometer came twice, of which each is here once.
+    delivered_twice: how many samples of the accelerometer came twice, of which each is here once. begun: the
+    beginning of the recording that this is a part of; None where it is the whole.
     """
 
     accelerometer: Samples
@@ -57,6 +59,14 @@ class Recording:
     name: str = ""
     covariates: Mapping[str, TimeSeries] = field(default_factory=dict)
     delivered_twice: int = 0
+    begun: Beginning | None = None
+
+    @property
+    def beginning(self) -> Beginning:
+        """The beginning of the recording, also where this is a part of it."""
+        if self.begun is not None:
+            return self.begun
+        return Beginning.of([self.accelerometer, *([] if self.gyroscope is None else [self.gyroscope])])
 
     @property
     def duration(self) -> float:
@@ -160,6 +170,15 @@ class Trace:
         return list(self._files)
 
     @property
+    def beginning(self) -> Beginning:
+        """The beginning of the recording, whatever part of it is read. Raises TraceError on an empty one."""
+        for pair in merged(self._files, ROWS):
+            return Beginning.of(pair)
+        raise TraceError(
+            self.path, "the recording holds no accelerometer sample", "give a recording of some minutes"
+        )
+
+    @property
     def size_bytes(self) -> int:
         """Size of the recording's files as stored."""
         return sum(file.size_bytes for file in self._files)
@@ -214,7 +233,7 @@ class Trace:
 
     def recording(self, name: str, progress: Callable[[float], None] = lambda _share: None) -> Recording:
         """Read all of it into memory. progress: is called with the share that is read. Raises TraceError."""
-        chunks = []
+        begun, chunks = self.beginning, []
         for chunk in self.chunks():
             chunks.append(chunk)
             progress(self.bytes_read / max(self.size_bytes, 1))
@@ -223,7 +242,14 @@ class Trace:
         events = [event for chunk in chunks for event in chunk.events]
         twice = self.delivered_twice(accelerometer)
         return Recording(
-            accelerometer, gyroscope, events, self.claims, self.notes, name, delivered_twice=twice
+            accelerometer,
+            gyroscope,
+            events,
+            self.claims,
+            self.notes,
+            name,
+            delivered_twice=twice,
+            begun=begun,
         )
 
     def delivered_twice(self, accelerometer: Samples) -> int:

@@ -60,7 +60,8 @@ class Correction:
     sensor itself reads; else it is a bias. has_forecast: whether the forecast of the bias states how
     uncertain it is. refits: whether a calibration that takes it up is fitted anew to its own rests, because
     its bias and scale hold a part of it. in_turns: whether the scale that was fitted to turns does.
-    by_charger: whether it follows the charger. driver: what it follows, in words, and remedy: what a
+    by_charger: whether it follows the charger. by_start: whether it follows the time since the sensors were
+    switched on. driver: what it follows, in words, and remedy: what a
     calibration needs whose rests do not tell it.
     """
 
@@ -73,6 +74,7 @@ class Correction:
     refits: ClassVar[bool] = False
     in_turns: bool = False
     by_charger: ClassVar[bool] = False
+    by_start: ClassVar[bool] = False
     driver: ClassVar[str] = ""
     remedy: ClassVar[str] = ""
 

@@ -33,6 +33,12 @@ def follows_charger(term: Term) -> bool:
     return correction is not None and correction.by_charger
 
 
+def follows_start(term: Term) -> bool:
+    """Tell whether a term follows the time since the sensors were switched on."""
+    correction = CORRECTIONS.get(term.effect)
+    return correction is not None and correction.by_start
+
+
 def check_terms(terms: Iterable[Term]) -> None:
     """Refuse terms that cannot be applied as they are: ValueError. An effect that is not known here passes.
 

@@ -25,6 +25,7 @@ class Warmup(Correction):
     """The bias is off by its amplitude at first and settles as a first-order system does."""
 
     refits = True
+    by_start = True
     driver = "how long before them the sensors were switched on"
     remedy = "a calibration by stillcal replay from the recording that was diagnosed"
 
