@@ -275,6 +275,10 @@ def test_other_faults_are_refused_too(sample: stillcal.Recording, tmp_path: Path
         stillcal.load(t=[0.0, 0.1], accelerometer=[[0.0, 9.8], [0.0, 9.8]])
     with pytest.raises(stillcal.UserError, match="not an event"):
         stillcal.load(columns(sample), events=[{"t": 0.0, "event": "charging", "on": "perhaps"}])
+    with pytest.raises(stillcal.UserError, match=r"91\.0 is out of range"):
+        stillcal.load(
+            columns(sample), events=[{"t": 0.0, "event": "location", "latitude": 91, "longitude": 0}]
+        )
     with pytest.raises(ValueError, match=r"let it end in \.csv"):
         sample.save(tmp_path / "copy.txt")
     with pytest.raises(stillcal.UserError, match="has no calibration"):

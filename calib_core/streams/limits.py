@@ -7,6 +7,8 @@ squares and no difference of stamps overflows, and a stamp still resolves 2 micr
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +41,13 @@ def within(name: str, value: float) -> bool:
     """Say whether a number may stand in the field of this name; NaN may not."""
     low, high = RANGES[name]
     return low <= value <= high
+
+
+def check_ranges(fields: Mapping[str, Any]) -> None:
+    """Raise ValueError for the first number that may not stand in its field; None stands for none."""
+    for name, value in fields.items():
+        if name in RANGES and value is not None and not within(name, value):
+            raise ValueError(f"{name} = {value!r} is out of range")
 
 
 def usable(t: Array, xyz: Array) -> NDArray[np.bool_]:

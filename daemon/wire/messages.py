@@ -81,10 +81,7 @@ Message = PhoneMessage | Command
 
 def within_limits(message: Message) -> Message:
     """Return a message that is no samples as it is. Raises ValueError where a number is beyond its limits."""
-    for name in _field_names(message):
-        value = getattr(message, name)
-        if name in limits.RANGES and value is not None and not limits.within(name, value):
-            raise ValueError(f"{name} = {value!r} is out of range")
+    limits.check_ranges({name: getattr(message, name) for name in _field_names(message)})
     return message
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -12,6 +11,7 @@ import msgspec
 
 from stillcal.calib_core.gravity import STANDARD, LocationError, given
 from stillcal.calib_core.streams.events import Charging, Location
+from stillcal.calib_core.streams.limits import check_ranges
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.daemon.system.files import NotRegularError, TooLargeError, read_regular
 from stillcal.replay.formats.errors import TraceError
@@ -170,6 +170,12 @@ def read_events(path: Path) -> list[Event]:
     return sorted((event for event in events if event is not None), key=lambda event: event.t)
 
 
+def plausible_event(event: Event) -> Event:
+    """Return an event as it is. Raises ValueError where a number cannot be, such as a latitude of 91."""
+    check_ranges(msgspec.structs.asdict(event))
+    return event
+
+
 def event_line(event: Event) -> bytes:
     """Return the line of NAME.events.jsonl for `event`."""
     fields = {name: value for name, value in msgspec.structs.asdict(event).items() if value is not None}
@@ -180,12 +186,9 @@ def _event(file: Path, number: int, line: bytes) -> Event | None:
     try:
         fields = msgspec.json.decode(line, type=dict[str, Any])
         kind = _KNOWN.get(fields.pop("event", None))
-        event = None if kind is None else msgspec.convert(fields, kind)
-    except (*NO_JSON, TypeError) as error:
+        return None if kind is None else plausible_event(msgspec.convert(fields, kind))
+    except (ValueError, TypeError, RecursionError) as error:
         raise TraceError(file, f"not an event: {error}", "correct or delete that line", number) from None
-    if event is not None and not math.isfinite(event.t):
-        raise TraceError(file, "the event's t is not finite", "correct or delete that line", number)
-    return event
 
 
 def _bytes_of(file: Path, limit: int = MOST_BYTES) -> bytes | None:

@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples, Sensor, warmed
 from stillcal.replay.formats.checks.units import UnitCheck
-from stillcal.replay.formats.claims import Claims, Event
+from stillcal.replay.formats.claims import Claims, Event, plausible_event
 from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import Cut
@@ -198,9 +198,9 @@ def _told(events: Iterable[Any], claims: Any, name: str) -> tuple[list[Event], C
     NAME.json holds it, or None. Raises TraceError.
     """
     try:
-        told = [msgspec.convert(e, Event, from_attributes=True) for e in events]
+        told = [plausible_event(msgspec.convert(e, Event, from_attributes=True)) for e in events]
         maker = Claims() if claims is None else msgspec.convert(claims, Claims, from_attributes=True)
-    except msgspec.ValidationError as error:
+    except ValueError as error:
         raise TraceError(name, f"not an event, or not a claim: {error}", "see docs/formats.md") from None
     return sorted(told, key=lambda event: event.t), maker
 

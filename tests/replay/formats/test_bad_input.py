@@ -191,7 +191,17 @@ def test_a_small_gzip_file_that_unpacks_to_gigabytes_is_refused(
     assert "GiB once unpacked, from" in refused(path, "auto").what
 
 
-@pytest.mark.parametrize("line", ["{", '{"t": 1}x', '{"t": "1", "event": "charging", "on": true}', "[]"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "{",
+        '{"t": 1}x',
+        '{"t": "1", "event": "charging", "on": true}',
+        "[]",
+        '{"t": 1e11, "event": "charging", "on": true}',
+        '{"t": 1, "event": "location", "latitude": 91, "longitude": 0}',
+    ],
+)
 def test_a_bad_events_line_is_named(tmp_path: Path, line: str) -> None:
     path = tmp_path / "r.csv"
     path.write_text("\n".join(lines()))
