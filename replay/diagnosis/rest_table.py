@@ -32,6 +32,9 @@ from stillcal.replay.diagnosis.words.relation_text import told_of_sensor
 LEAST_UNCERTAINTY = 1e-4
 """m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""
 
+LEAST_RATE_UNCERTAINTY = 1e-6
+"""rad/s, 0.2 deg/h: the same of its mean rate, whose bias wanders by more from rest to rest in any phone."""
+
 LEAST_ROWS = 7
 """Fewer rests than the affine accelerometer has parameters to spare show nothing beyond it."""
 
@@ -108,7 +111,7 @@ def _stacked(values: Sequence[Array | None]) -> Array | None:
 
 def _variances(rests: Sequence[RestState]) -> Array:
     uncertainty = _stacked([r.rate_uncertainty for r in rests])
-    return np.maximum(1e-18 if uncertainty is None else uncertainty**2, 1e-18)
+    return np.maximum(0.0 if uncertainty is None else uncertainty, LEAST_RATE_UNCERTAINTY) ** 2
 
 
 def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:
