@@ -139,7 +139,8 @@ class UnitCheck:
         step = float(np.median(np.diff(t))) if t.size > FEWEST else 0.0
         if step > _SLOWEST_STEP:
             what = f"the time stamps step by {step:.6g}, where a sensor's step by {_SLOWEST_STEP:g} s at most"
-            raise TraceError(self.path, what, f'give s, or set unit = "ns", "us" or "ms" {_MAP}')
+            remedy = f'give s, or set unit = "ns", "us" or "ms" {_MAP}; a table of rests needs --format rest'
+            raise TraceError(self.path, what, remedy)
 
     def _judge_size(self, norms: Array) -> None:
         low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))

@@ -79,6 +79,15 @@ def test_g_and_mg_are_recognised(tmp_path: Path, scene: str, n: int, unit: str, 
         read(tmp_path / "r.csv", rows)
 
 
+def test_stamps_too_far_apart_may_be_those_of_rests(tmp_path: Path) -> None:
+    rows = phone("still", 30)
+    rows[:, 0] *= 2000.0
+    with pytest.raises(
+        TraceError, match=r'step by 20, .* or "ms" in .*; a table of rests needs --format rest'
+    ):
+        read(tmp_path / "r.csv", rows)
+
+
 @pytest.mark.parametrize("scene", ["turning", "walking", "still"])
 def test_degrees_are_recognised(tmp_path: Path, scene: str) -> None:
     """Also of a phone that lies still: as radians its noise alone would turn gravity visibly."""
