@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import correct_both
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.temperature.charger import Charger
 from stillcal.calib_core.temperature.thermometer import Thermometer
-from stillcal.replay.formats.beginning import Beginning
 from stillcal.replay.formats.claims import Event
 from stillcal.replay.suitability import Suitability
 

@@ -13,6 +13,7 @@ from stillcal.calib_core.calibration.record import AccelerometerRecord, Calibrat
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.daemon.store.files import StoreError, piped
 from stillcal.daemon.store.store import Store, StoreSettings
 from stillcal.daemon.system.files import input_name, is_read_once
@@ -22,20 +23,26 @@ _DEG = 180 / np.pi
 
 
 def keep_in_store(
-    path: Path | str, actions: Iterable[Publish | Reject], source: str, settings: StoreSettings | None = None
+    path: Path | str, actions: Iterable[Publish | Reject], settings: StoreSettings | None = None
 ) -> list[str]:
     """Put the calibrations that a replay accepted and rejected into a store, in order.
 
-    source: the recording's name, kept as their provenance. Returns the store's notes, one line each. Raises
-    StoreError where the store is damaged, or another process holds it.
+    Returns the store's notes, one line each. Raises StoreError where the store is damaged, or another process
+    holds it.
     """
     notes: list[str] = []
     with Store(path, settings) as opened:
         for action in actions:
-            record = replace(action.record, provenance=replace(action.record.provenance, source=source))
             change = opened.publish if isinstance(action, Publish) else opened.reject
-            notes += change(record, action.reason, action.t).notes
+            notes += change(action.record, action.reason, action.t).notes
     return notes
+
+
+def from_recording(
+    record: CalibrationRecord, source: str, beginning: Beginning | None = None
+) -> CalibrationRecord:
+    """Return a calibration that says which recording it comes from, by name and, if known, by beginning."""
+    return replace(record, provenance=replace(record.provenance, source=source, beginning=beginning))
 
 
 def full(actions: Iterable[Publish | Reject]) -> list[Publish | Reject]:

@@ -42,7 +42,15 @@ from stillcal.replay.formats.covariates import of_values
 from stillcal.replay.formats.in_memory import is_table, of_arrays, of_table, part_of
 from stillcal.replay.formats.trace import Recording, read_all
 from stillcal.replay.notebook import html_table
-from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, record_rows, why_not
+from stillcal.replay.outcome import (
+    current_in_store,
+    from_recording,
+    full,
+    keep_in_store,
+    outcome_rows,
+    record_rows,
+    why_not,
+)
 from stillcal.replay.phone import load_phone, load_scenario
 from stillcal.replay.phone import simulate as play
 from stillcal.replay.runner import Outcome, replay, with_choices
@@ -158,7 +166,6 @@ class Calibration:
     record: CalibrationRecord
     _outcome: Outcome | None = None
     _actions: tuple[Publish | Reject, ...] = ()
-    _source: str = ""
 
     @classmethod
     def read(cls, path: PathLike) -> Calibration:
@@ -166,7 +173,7 @@ class Calibration:
         record = current_in_store(Path(path))
         t = 0.0 if record.fitted_at is None else record.fitted_at
         action = Publish(t, record, record.acceptance.reason)
-        return cls(record, None, (action,), record.provenance.source)
+        return cls(record, None, (action,))
 
     @property
     def accelerometer(self) -> AccelerometerRecord | None:
@@ -205,7 +212,7 @@ class Calibration:
 
         A store that exists keeps its history. Raises UserError where it is damaged or in use.
         """
-        keep_in_store(Path(path), self._actions, self._source)
+        keep_in_store(Path(path), self._actions)
 
     def as_dict(self) -> dict[str, Any]:
         """Return the calibration as plain values, in the layout of `stillcal replay --json`."""
@@ -247,7 +254,8 @@ def calibrate(
         needed = () if outcome.refusal is None else outcome.refusal.missing
         reason = why_not(outcome) if outcome.refusal is None else outcome.refusal.reason
         raise NotSupported(f"{opened.name}: no calibration: {reason}", needed)
-    return Calibration(record, outcome, tuple(full(actions)), opened.name)
+    kept = [replace(a, record=from_recording(a.record, opened.name, opened.beginning)) for a in full(actions)]
+    return Calibration(from_recording(record, opened.name, opened.beginning), outcome, tuple(kept))
 
 
 def apply(

@@ -29,10 +29,14 @@ from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope.bias import bias_from_rests
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import Sensor
 
 ADOPTABLE = tuple(effect for effect in CORRECTIONS if effect != BY_CHARGING)
 """Effects of a diagnosis that a calibration can take up. The heat of charging the daemon learns itself."""
+
+_WITH_THE_START_S = 1.0
+"""Sensors of a phone begin within a second of each other."""
 
 _NO_TERM = "a calibration has no correction for it"
 _ANEW = "it is over once the phone is calibrated anew"
@@ -54,13 +58,13 @@ def refusal(finding: Mapping[str, Any]) -> str:
 
 
 def with_terms(
-    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], recording: str = ""
+    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], diagnosed: Beginning | None = None
 ) -> CalibrationRecord:
     """Return the calibration with terms for those findings (of `diagnose --json`) that can be applied.
 
-    A finding replaces an earlier term of the same effect. recording: the name of the one diagnosed. Raises
-    NotSupported where none of the findings can be applied, or where a term has nothing to count from;
-    ValueError on a malformed finding.
+    A finding replaces an earlier term of the same effect. diagnosed: the beginning of the recording that was
+    diagnosed, None where unknown. Raises NotSupported where none of the findings can be applied, or where a
+    term has nothing to count from; ValueError on a malformed finding.
     """
     found = list(findings)
     fresh = terms_of(record, found)
@@ -70,7 +74,10 @@ def with_terms(
     others = [term for term in record.terms if term.effect not in fresh]
     after = replace(record, terms=(*others, *fresh.values()))
     refitting = [term for term in fresh.values() if CORRECTIONS[term.effect].refits]
-    started = _started(record, found, recording)
+    for finding in found:
+        if finding["effect"] in fresh and CORRECTIONS[finding["effect"]].by_start:
+            _require_same_start(record, finding, diagnosed)
+    started = None if record.provenance.beginning is None else record.provenance.beginning.t
     for term in refitting:
         _require_drivers(record, term, started)
     known = _known(record, refitting, started)
@@ -109,16 +116,30 @@ def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
     return correction.term(correction.sensor, finding, reference)
 
 
-def _started(
-    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], recording: str
-) -> float | None:
-    """Return when the recording began that the calibration was made from, s.
+def _require_same_start(
+    record: CalibrationRecord, finding: Mapping[str, Any], diagnosed: Beginning | None
+) -> None:
+    """Raise NotSupported where the calibration's rests do not count from what the finding counts from.
 
-    None where another one was diagnosed: the rests of the calibration then say nothing of their age.
+    It counts from the first sample that was diagnosed, and only the diagnosed recording is known to begin
+    when the sensors were switched on.
     """
-    starts = [f["where"]["t_start"] for f in findings if str(f["effect"]).endswith("_warmup")]
-    own = bool(recording) and record.provenance.source == recording
-    return float(min(starts)) if own and starts else None
+    effect, own = finding["effect"], record.provenance.beginning
+    if diagnosed is None:
+        raise NotSupported(
+            f"{effect}: the diagnosis does not say when its recording began",
+            ["a diagnosis of a recording by this version"],
+        )
+    if finding["where"]["t_start"] - diagnosed.t > _WITH_THE_START_S:
+        raise NotSupported(
+            f"{effect}: only a part of the recording was diagnosed, which began later",
+            ["a diagnosis without --from"],
+        )
+    if own is not None and own != diagnosed:
+        name = record.provenance.source or "without a name"
+        raise NotSupported(
+            f"{effect}: the calibration is of another recording ({name})", [CORRECTIONS[effect].remedy]
+        )
 
 
 def _at_states(record: CalibrationRecord, started: float | None) -> Drivers:

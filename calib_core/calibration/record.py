@@ -22,6 +22,7 @@ from stillcal.calib_core.codec import digest, floats, jsonable
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S, FULL_K
 from stillcal.calib_core.temperature.forecast import Forecast
@@ -284,13 +285,17 @@ class Acceptance:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Provenance:
-    """Where the calibration comes from; t_start, t_end: s, the span of the samples used."""
+    """Where the calibration comes from; t_start, t_end: s, the span of the samples used.
+
+    beginning: of the recording that they are from, None for samples of a running phone.
+    """
 
     software: str = ""
     source: str = ""
     device: str = ""
     t_start: float | None = None
     t_end: float | None = None
+    beginning: Beginning | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

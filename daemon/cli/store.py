@@ -22,6 +22,8 @@ from stillcal.calib_core.calibration.adoption import refusal, with_terms
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term, lag_of
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
+from stillcal.calib_core.codec import from_plain
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
 from stillcal.daemon.store.document import (
@@ -145,8 +147,8 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
         if document is None or document.current is None:
             raise ValueError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
         try:
-            found, recording = _findings(diagnosis)
-            record = with_terms(document.current, found, recording)
+            found, diagnosed = _findings(diagnosis)
+            record = with_terms(document.current, found, diagnosed)
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{input_name(diagnosis)}: {error}") from error
         store.publish(record, f"terms from {short_name(diagnosis)}")
@@ -158,12 +160,14 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
             click.echo(printable(f"not taken up: {finding['effect']}: {why}"), err=True)
 
 
-def _findings(path: Path) -> tuple[list[dict[str, Any]], str]:
-    """Read the findings of a diagnosis and the name of its recording. Raises ValueError if it is none."""
+def _findings(path: Path) -> tuple[list[dict[str, Any]], Beginning | None]:
+    """Read the findings of a diagnosis and when its recording began. Raises ValueError if it is none."""
     data = read_input(path, MAX_BYTES)
     try:
         answer = json.loads(data.decode("utf-8"))
-        return [dict(finding) for finding in answer["findings"]], str(answer.get("recording", ""))
+        findings = [dict(finding) for finding in answer["findings"]]
+        began = answer.get("beginning")
+        return findings, None if began is None else from_plain(began, Beginning)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,7 +42,14 @@ from stillcal.replay.formats.conversion.by_name import writer_class
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Chunk, Trace
 from stillcal.replay.formats.writer import STANDARD_OUTPUT
-from stillcal.replay.outcome import current_in_store, full, keep_in_store, outcome_rows, why_not
+from stillcal.replay.outcome import (
+    current_in_store,
+    from_recording,
+    full,
+    keep_in_store,
+    outcome_rows,
+    why_not,
+)
 from stillcal.replay.runner import Outcome, calibrated_by_faces, replay, replay_rests, with_choices
 
 _existing = click.Path(path_type=Path)
@@ -104,18 +112,21 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     )
     settings = load_settings(config)
     calibrations: list[Publish | Reject] = []
+    beginning = None
     watch = "continuous" if faces and watch is None else watch
     if reading.is_rest_table(trace):
         engine = Engine(with_choices(settings.engine, gravity, watch))
         outcome = replay_rests(reading.rests(trace), engine, calibrations.append)
     else:
         opened = reading.open(trace)
+        beginning = opened.beginning
         engine = Engine(with_choices(settings.engine, gravity, watch, opened.claimed_gravity))
         outcome = _replayed(opened, engine, calibrations.append, quiet)
     calibrations = [*calibrated_by_faces(outcome, settings.engine)] if faces else full(calibrations)
     name = short_name(trace)
     if store_path is not None and calibrations:
-        for note in keep_in_store(store_path, calibrations, name, settings.store):
+        kept = [replace(a, record=from_recording(a.record, name, beginning)) for a in calibrations]
+        for note in keep_in_store(store_path, kept, settings.store):
             click.echo(f"stillcal: {note}", err=True)
     if json_path is not None:
         _write_json(json_path, outcome)

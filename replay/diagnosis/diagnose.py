@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from stillcal.replay.diagnosis.built_in import judge_built_in
@@ -67,19 +67,23 @@ class Outcome:
 
 def diagnose(recording: Recording, request: Request, show_stage: ShowStage = silent) -> Outcome:
     """Compare a recording with the simulation asked for. Raises NotSupported on too little data."""
-    if request.paired and request.simulated is not None:
-        return Outcome(judge_paired(recording, request.simulated, show_stage))
-    if request.witnesses:
-        return Outcome(judge_with_witnesses(recording, request.witnesses, show_stage))
-    recording = condensed(recording)
-    if request.simulated is not None:
-        judged = judge_simulation(recording, condensed(request.simulated), show_stage)
-    elif request.phone is not None:
-        judged = judge_phone(recording, request.phone, request.phone_name, show_stage)
-    else:
-        judged = judge_built_in(recording, show_stage=show_stage)
+    judged = _judged(recording, request, show_stage)
+    judged = replace(judged, answer=judged.answer | {"beginning": asdict(recording.beginning)})
     wanted = request.phone_file and judged.case is not None
     return Outcome(judged, _phone_file(judged) if wanted else None)
+
+
+def _judged(recording: Recording, request: Request, show_stage: ShowStage) -> Judged:
+    if request.paired and request.simulated is not None:
+        return judge_paired(recording, request.simulated, show_stage)
+    if request.witnesses:
+        return judge_with_witnesses(recording, request.witnesses, show_stage)
+    recording = condensed(recording)
+    if request.simulated is not None:
+        return judge_simulation(recording, condensed(request.simulated), show_stage)
+    if request.phone is not None:
+        return judge_phone(recording, request.phone, request.phone_name, show_stage)
+    return judge_built_in(recording, show_stage=show_stage)
 
 
 def _phone_file(judged: Judged) -> str:

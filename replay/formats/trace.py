@@ -12,11 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
+from stillcal.calib_core.streams.beginning import ROWS, Beginning
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.streams.time_series import TimeSeries
 from stillcal.daemon.system.files import short_name
-from stillcal.replay.formats.beginning import ROWS, Beginning
 from stillcal.replay.formats.checks.units import UnitCheck
 from stillcal.replay.formats.claims import Claims, Event, claimed_gravity, read_claims, read_events
 from stillcal.replay.formats.conversion.by_name import writer_class
@@ -66,7 +66,8 @@ class Recording:
         """The beginning of the recording, also where this is a part of it."""
         if self.begun is not None:
             return self.begun
-        return Beginning.of([self.accelerometer, *([] if self.gyroscope is None else [self.gyroscope])])
+        first = next(self.chunks(ROWS), None)
+        return Beginning.of(() if first is None else (first.accelerometer, first.gyroscope))
 
     @property
     def duration(self) -> float:

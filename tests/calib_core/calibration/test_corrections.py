@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.static.rest import RestState
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.temperature.charger import Charger
@@ -45,6 +46,8 @@ SCALE = np.array([1.01, 0.99, 1.005])
 FORCE_SD, RATE_SD, STEP_S, N = 1e-3, 1e-5, 60.0, 80
 PLUGGED_S = 600.0
 """The charger is switched every so often, first at the start."""
+
+BEGINNING = Beginning(0.0, "0123456789abcdef")
 
 ANY = np.array([1.0, -0.8, 1.2])
 
@@ -106,6 +109,9 @@ def finding(effect: str, **more: object) -> dict[str, object]:
     return {"effect": effect, "parameters": told, "where": where, "alternatives": [], **more}
 
 
+NO_STEP = {"step": {"value": [0.0, 0.0, 0.0], "unit": ""}}
+
+
 def plugged() -> Charger:
     return Charger().with_events(
         Charging(t=k * PLUGGED_S, on=k % 2 == 0) for k in range(int(N * STEP_S / PLUGGED_S))
@@ -146,12 +152,12 @@ def record(effect: str) -> CalibrationRecord:
     """Return a calibration that knows nothing of the effect, and holds a part of it."""
     rests = pool(effect, 1)
     fitted = fit_candidate(rests, rests.held[0].gravity, N * STEP_S, CalibrateSettings()).record
-    return replace(fitted, provenance=Provenance(source="day.csv"))
+    return replace(fitted, provenance=Provenance(source="day.csv", beginning=BEGINNING))
 
 
 @cache
 def adopted(effect: str) -> CalibrationRecord:
-    return with_terms(record(effect), [finding(effect)], "day.csv")
+    return with_terms(record(effect), [finding(effect)], BEGINNING)
 
 
 def left(known: CalibrationRecord, effect: str, charger: Charger, started: float | None = 0.0) -> float:
@@ -245,7 +251,7 @@ def test_a_store_adopts_an_effect_shows_it_and_gives_it_back(effect: str, tmp_pa
     store, diagnosis = tmp_path / "store.json", tmp_path / "day.json"
     Store(store).publish(record(effect))
     skew = {"effect": "clock_skew", "parameters": {}}
-    answer = {"schema": 2, "recording": "day.csv", "findings": [finding(effect), skew]}
+    answer = {"schema": 2, "beginning": asdict(BEGINNING), "findings": [finding(effect), skew]}
     diagnosis.write_text(json.dumps(answer))
     run = CliRunner().invoke
     said = run(store_group, ["adopt-terms", str(store), str(diagnosis)])
@@ -306,8 +312,9 @@ def test_a_store_of_the_version_before_is_read(tmp_path: Path) -> None:
 
 
 def test_what_has_nothing_to_count_from_is_refused_with_a_reason() -> None:
+    daemons = replace(record("gyro_warmup"), provenance=Provenance())
     with pytest.raises(NotSupported, match="do not say how long before them the sensors were switched on"):
-        with_terms(record("gyro_warmup"), [finding("gyro_warmup")], "another.csv")
+        with_terms(daemons, [finding("gyro_warmup")], BEGINNING)
     bare = replace(record("accel_nonlinearity"), states=())
     with pytest.raises(NotSupported, match="came without its rests"):
         with_terms(bare, [finding("accel_nonlinearity")])
@@ -317,6 +324,29 @@ def test_what_has_nothing_to_count_from_is_refused_with_a_reason() -> None:
     alike = finding("accel_nonlinearity", alternatives=[{"effect": "unknown", "indistinguishable": True}])
     with pytest.raises(NotSupported, match="accel_nonlinearity: unknown fits as well"):
         with_terms(record(""), [alike])
+
+
+@pytest.mark.parametrize(
+    ("diagnosed", "t_start", "why"),
+    [
+        (replace(BEGINNING, digest="another"), 0.0, r"of another recording \(day.csv\)"),
+        (replace(BEGINNING, t=-300.0), 0.0, "only a part of the recording was diagnosed"),
+        (None, 0.0, "does not say when its recording began"),
+    ],
+)
+def test_a_warm_up_of_another_recording_of_the_same_name_is_refused(
+    diagnosed: Beginning | None, t_start: float, why: str
+) -> None:
+    warming = finding("accel_warmup", where={"t_start": t_start, "t_end": 4800.0})
+    with pytest.raises(NotSupported, match=why):
+        with_terms(record("accel_warmup"), [warming], diagnosed)
+
+
+def test_a_warm_up_that_was_taken_up_is_taken_off_when_another_effect_follows() -> None:
+    """The second diagnosis may be of any recording: the calibration knows its own beginning."""
+    first = adopted("accel_warmup")
+    again = with_terms(first, [finding("accel_charging_bias", parameters=NO_STEP)])
+    assert left(again, "accel_warmup", plugged()) < 1.1 * left(first, "accel_warmup", plugged())
 
 
 def test_every_effect_of_either_sensor_is_tried_here() -> None:
