@@ -20,7 +20,7 @@ from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.candidate import fit_accelerometer
 from stillcal.calib_core.calibration.corrections.base import Correction, Drivers
-from stillcal.calib_core.calibration.corrections.catalogue import CORRECTIONS
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPTABLE, CORRECTIONS
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
@@ -31,9 +31,6 @@ from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope.bias import bias_from_rests
 from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import Sensor
-
-ADOPTABLE = tuple(effect for effect in CORRECTIONS if effect != BY_CHARGING)
-"""Effects of a diagnosis that a calibration can take up. The heat of charging the daemon learns itself."""
 
 _WITH_THE_START_S = 1.0
 """Sensors of a phone begin within a second of each other."""

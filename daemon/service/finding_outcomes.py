@@ -6,7 +6,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from stillcal.calib_core.calibration.adoption import ADOPTABLE
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPT, ADOPTABLE
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.trial import TESTED
@@ -73,7 +73,7 @@ def _why_not(effect: str, alike: Collection[str], view: View) -> str:
         return "that takes a full calibration with the gyroscope first; let the phone lie in more attitudes"
     otherwise = f"a calibration has no term for it; to know more, {REMEDY}"
     if effect in ADOPTABLE:
-        otherwise = f"stillcal store adopt-terms takes it up from a diagnosis; for that, {REMEDY}"
+        otherwise = f"{ADOPT} takes it up from a diagnosis; for that, {REMEDY}"
     return next((why for end, why in _WHY_NOT.items() if effect.endswith(end)), otherwise)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from stillcal.calib_core.calibration.corrections.base import Correction
 from stillcal.calib_core.calibration.corrections.bias_temperature import BiasTemperature
 from stillcal.calib_core.calibration.corrections.charging_bias import ChargingBias
-from stillcal.calib_core.calibration.corrections.charging_heat import ChargingHeat
+from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING, ChargingHeat
 from stillcal.calib_core.calibration.corrections.g_sensitivity import GSensitivity
 from stillcal.calib_core.calibration.corrections.nonlinearity import Nonlinearity
 from stillcal.calib_core.calibration.corrections.scale_temperature import ScaleTemperature
@@ -25,6 +25,12 @@ CORRECTIONS: dict[str, Correction] = {
         ChargingHeat(),
     )
 }
+
+ADOPTABLE = tuple(effect for effect in CORRECTIONS if effect != BY_CHARGING)
+"""Effects of a diagnosis that a calibration can take up. The heat of charging the daemon learns itself."""
+
+ADOPT = "stillcal store adopt-terms"
+"""The command that takes them up."""
 
 
 def follows_charger(term: Term) -> bool:

@@ -68,7 +68,6 @@ class GSensitivity(Effect):
     noun = "sensitivity of the gyroscope to acceleration"
     sentence = "The gyroscope is sensitive to acceleration (g-sensitivity) on {axes}."
     equation = "rate as read = rate + matrix f, f the specific force"
-    remedy = "to correct it: stillcal store adopt-terms"
     look_alikes = ("gyro_bias_temperature",)
     decides = "return to the same attitudes at another temperature"
     by_row = True

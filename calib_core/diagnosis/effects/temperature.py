@@ -39,7 +39,6 @@ class BiasTemperature(PolynomialBias):
     called_as = "change of {bias} with temperature"
     follows = "temperature"
     equation = "bias(T) = bias(T0) + slope (T - T0) [+ quadratic (T - T0)^2 + cubic (T - T0)^3]"
-    remedy = "to correct it: stillcal store adopt-terms"
     decides = "let the phone warm and cool twice, in several attitudes"
 
     def __init__(self, sensor: str, degree: int = 1) -> None:

@@ -69,8 +69,9 @@ class Effect:
     parameters, in the order of the response's columns; sentence: one plain sentence, `{axes}` is filled in;
     noun: what it is called within a sentence.
 
-    equation: the physics as a formula; remedy: what a person can do; look_alikes: effects that can imitate
-    it; decides: the recording that tells them apart; grid_units: units of the grid's parameters.
+    equation: the physics as a formula; remedy: what a person can do besides correcting it; look_alikes:
+    effects that can imitate it; decides: the recording that tells them apart; grid_units: units of the grid's
+    parameters.
 
     in_turns: whether it shows in turns between rests, not at rest. by_row: its parameters are a matrix, row
     by row of the axis they act on; else the axes in turn. recurs: whether it may be found more than once.

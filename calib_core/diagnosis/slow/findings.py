@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPT, ADOPTABLE
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import copies
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
@@ -464,10 +465,10 @@ def _where(residuals: SensorResiduals, hypothesis: Hypothesis) -> Where:
 def sentence(found: Estimate, axes: list[str], alternatives: list[Alternative]) -> str:
     """Return what is said of a finding: its size, what can be done, and what it cannot be told from."""
     effect = found.hypothesis.effect
-    said = effect.sentence.format(axes=", ".join(axes))[:-1]
-    remedy = f"; {effect.remedy}" if effect.remedy else ""
-    text = f"{said} ({_size(found, axes)}){remedy}."
     alike = [a.effect for a in alternatives if a.indistinguishable]
+    correct = f"to correct it: {ADOPT}" if effect.name in ADOPTABLE and not alike else ""
+    said = f"{effect.sentence.format(axes=', '.join(axes))[:-1]} ({_size(found, axes)})"
+    text = f"{'; '.join(filter(None, (said, effect.remedy, correct)))}."
     if not alike:
         return text
     decides = f" To decide: {effect.decides}." if effect.decides else ""

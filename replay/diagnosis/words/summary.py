@@ -7,11 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from stillcal.calib_core.calibration.adoption import refusal
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPT
 from stillcal.calib_core.diagnosis.comparison.direct import LINE
 from stillcal.calib_core.diagnosis.comparison.quantity import EVEN
 from stillcal.calib_core.diagnosis.comparison.records import LEVEL
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
-from stillcal.replay.diagnosis.words.names import capital, noun, simulation_text
+from stillcal.replay.diagnosis.words.names import BUILT_IN, capital, noun, simulation_text
 from stillcal.replay.diagnosis.words.relation_text import with_interval
 
 VERDICTS = {
@@ -97,7 +99,7 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
     simulation = simulation_text(answer["simulation"])
     out = [f"{answer['recording']} against {simulation}: {headline(answer)}"]
     out += [f"  {f['statement']} (probability {f['probability']:.2f})" for f in answer["findings"]]
-    out += [f"  {text}" for text in [outcome(answer)] if text]
+    out += [f"  {text}" for text in (outcome(answer), remedy(answer)) if text]
     witnesses = answer.get("witnesses", [])
     out += [f"  witness: {told['note']}" for one in witnesses for told in (*one["findings"], one)]
     agreed = ", ".join(_with_frequency(a) for a in answer["agreed"] if "note" not in a)
@@ -108,6 +110,22 @@ def summary(answer: Mapping[str, Any], lines: int = LINES) -> list[str]:
     if len(out) > lines:
         out = [*out[: lines - 1], f"  and {len(out) - lines + 1} more lines in --json and --report"]
     return out
+
+
+def remedy(answer: Mapping[str, Any]) -> str:
+    """Return how recordings of this phone can be corrected for what was found; "" where they cannot.
+
+    What differs from a given simulation may be the simulation's fault, and is no reason to correct the phone.
+    """
+    if answer["simulation"] != BUILT_IN:
+        return ""
+    effects = ", ".join(dict.fromkeys(f["effect"] for f in answer["findings"] if not refusal(f)))
+    if not effects:
+        return ""
+    return (
+        f"Recordings of this phone can be corrected for {effects}: {ADOPT} STORE DIAGNOSIS (the file"
+        " of --json), then stillcal apply."
+    )
 
 
 def _with_frequency(one: Mapping[str, Any]) -> str:

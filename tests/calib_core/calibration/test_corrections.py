@@ -17,10 +17,11 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.adoption import ADOPTABLE, with_terms
+from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.bias_curve import learn_accelerometer, learn_gyroscope
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.corrections.base import Drivers
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPTABLE
 from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
 from stillcal.calib_core.calibration.record import CalibrationRecord, Provenance

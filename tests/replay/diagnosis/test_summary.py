@@ -6,10 +6,11 @@ from typing import Any
 
 import pytest
 
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPT, ADOPTABLE
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.words.names import BUILT_IN
-from stillcal.replay.diagnosis.words.summary import headline, outcome, summary
+from stillcal.replay.diagnosis.words.summary import headline, outcome, remedy, summary
 
 
 def answer(effect: str, verdict: str, **fit: Any) -> dict[str, Any]:
@@ -47,6 +48,15 @@ def test_a_likely_difference_is_named_where_none_is_sure(probability: float | No
     assert said["verdict"] == "match"
     assert headline(said).startswith("No difference is sure, but likely: nonlinearity") == likely
     assert headline(said).startswith("No difference found") != likely
+
+
+@pytest.mark.parametrize("effect", ADOPTABLE)
+def test_what_a_calibration_can_take_up_names_the_command(effect: str) -> None:
+    said = answer(effect, "identified", p_after=1.0)
+    assert f"can be corrected for {effect}: {ADOPT} " in remedy(said)
+    assert not remedy(said | {"simulation": "sim.csv"})
+    other = {"effect": "accel_bias_drift", "indistinguishable": True}
+    assert not remedy(said | {"findings": [{"effect": effect, "alternatives": [other]}]})
 
 
 def test_no_difference_names_the_bias_and_scale_that_were_not_compared() -> None:
