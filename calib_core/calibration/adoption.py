@@ -6,7 +6,7 @@ its own rests, once the effect is taken off them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,21 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.accelerometer.fit import AccelerometerSettings
-from stillcal.calib_core.accelerometer.parameters import ALL, DIAGONAL
+from stillcal.calib_core.accelerometer.parameters import ALL, DIAGONAL, basis, inverse
 from stillcal.calib_core.accelerometer.prior import SOUND_PHONES
+from stillcal.calib_core.accelerometer.result import AccelerometerFit
 from stillcal.calib_core.accelerometer.six_faces import common_rotation
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.candidate import fit_accelerometer
-from stillcal.calib_core.calibration.corrections.base import Correction, Drivers
+from stillcal.calib_core.calibration.candidate import accelerometer_record, fit_accelerometer, with_wander
+from stillcal.calib_core.calibration.constancy import find_change
+from stillcal.calib_core.calibration.corrections.base import Correction, Drivers, uncertainty_of
 from stillcal.calib_core.calibration.corrections.catalogue import ADOPTABLE, CORRECTIONS
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term
-from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
+from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.calibration.terms import compensated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
-from stillcal.calib_core.gyroscope.bias import bias_from_rests
+from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests
+from stillcal.calib_core.static.rest import forces
 from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import Sensor
 
@@ -69,8 +72,12 @@ def with_terms(
         why = "; ".join(f"{f['effect']}: {refusal(f)}" for f in found)
         raise NotSupported(f"no finding can be applied{f' ({why})' if why else ''}")
     others = [term for term in record.terms if term.effect not in fresh]
-    after = replace(record, terms=(*others, *fresh.values()))
     refitting = [term for term in fresh.values() if CORRECTIONS[term.effect].refits]
+    after = replace(
+        record,
+        terms=(*others, *fresh.values()),
+        acceptance=replace(record.acceptance, how="terms", reason=_reason(fresh.values(), refitting)),
+    )
     for finding in found:
         if finding["effect"] in fresh and CORRECTIONS[finding["effect"]].by_start:
             _require_same_start(record, finding, diagnosed)
@@ -82,6 +89,12 @@ def with_terms(
         if any(term.sensor == sensor for term in refitting):
             after = refitted(record, after, known, started)
     return after
+
+
+def _reason(terms: Iterable[Term], refitting: Collection[Term]) -> str:
+    """Return in words what was taken up, and what was fitted anew without it."""
+    reason = f"{', '.join(term.effect for term in terms)} taken up from a diagnosis"
+    return f"{reason}; bias and scale fitted anew without it" if refitting else reason
 
 
 def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> dict[str, Term]:
@@ -192,25 +205,66 @@ def _accelerometer(
     part, gravity = after.accelerometer, after.gravity or Gravity()
     if part is None:
         raise NotSupported("the calibration has no accelerometer part", ["a full calibration"])
-    old, new = (
-        fit_accelerometer(
-            _rests(record, known, started).held,
-            gravity,
-            AccelerometerSettings(),
-            min(part.parameters, 9),
-            SOUND_PHONES if part.with_prior else None,
-        )
-        for record in (before, after)
-    )
+
+    def fitted(record: CalibrationRecord) -> tuple[AccelerometerFit, Pool]:
+        pool, prior = _rests(record, known, started), SOUND_PHONES if part.with_prior else None
+        return fit_accelerometer(
+            pool.held, gravity, AccelerometerSettings(), min(part.parameters, 9), prior
+        ), pool
+
+    (old, _), (new, pool) = fitted(before), fitted(after)
     ratio = new.rms_residual / old.rms_residual if old.rms_residual > 0.0 else 1.0
     turned = common_rotation(part.scale) if part.parameters == ALL else np.eye(3)
+    own = accelerometer_record(new, find_change(new, pool.held), forces(pool.rests))
+    by_terms = _by_terms(before, after, Sensor.ACCELEROMETER, lambda r: fitted(r)[0].values - new.values)
     changed = replace(
         part,
         scale=frozen(turned @ new.model.scale),
         bias=new.model.bias,
+        covariance=None if own.covariance is None else _with_rotation(part, own.covariance + by_terms),
         rms_residual=None if part.rms_residual is None else part.rms_residual * min(ratio, 1.0),
     )
     return _without_forecast(replace(after, accelerometer=changed), Sensor.ACCELEROMETER)
+
+
+_SHARE = 0.1
+"""Of a standard uncertainty: the step of a derivative."""
+
+
+def _by_terms(
+    before: CalibrationRecord,
+    after: CalibrationRecord,
+    sensor: Sensor,
+    moved: Callable[[CalibrationRecord], Array],
+) -> Array:
+    """Return the covariance (p, p) of what is fitted anew, by how uncertain the parameters of the terms are.
+
+    moved: by how much the fit with the terms of a record differs from that of `after`, (p,).
+    """
+    total: Array | float = 0.0
+    for k, term in enumerate(after.terms):
+        if term in before.terms or term.sensor is not sensor or not CORRECTIONS[term.effect].refits:
+            continue
+        for name, parameter in term.parameters.items():
+            for step in np.diag(uncertainty_of(parameter).ravel()):
+                size = _SHARE * np.copysign(step.reshape(parameter.value.shape), parameter.value)
+                larger = replace(parameter, value=frozen(parameter.value + size))
+                other = replace(term, parameters=term.parameters | {name: larger})
+                row = moved(replace(after, terms=(*after.terms[:k], other, *after.terms[k + 1 :])))
+                total = total + np.outer(row, row) / _SHARE**2
+    return np.asarray(total)
+
+
+def _with_rotation(part: AccelerometerRecord, covariance: Array) -> Array:
+    """Return the covariance of a fit to rests, with what the calibration has of the rotation of all axes.
+
+    No rest shows that rotation: it is the part of a scale that is not symmetric.
+    """
+    if part.parameters != ALL or part.covariance is None:
+        return frozen(covariance)
+    symmetric = basis(9)
+    turned = np.eye(ALL) - symmetric @ inverse(9)
+    return frozen(symmetric @ covariance @ symmetric.T + turned @ part.covariance @ turned.T)
 
 
 def _without_forecast(record: CalibrationRecord, sensor: Sensor) -> CalibrationRecord:
@@ -232,24 +286,33 @@ def _gyroscope(
         raise NotSupported("the calibration has no gyroscope part", ["a recording with a gyroscope"])
     biased = [t for t in after.terms if t not in before.terms and not CORRECTIONS[t.effect].of_reading]
     moves = any(term.sensor is Sensor.GYROSCOPE for term in biased)
-    bias = _at_rest(_rests(after, known, started), after) if moves else part.bias
+    bias, covariance = part.bias, part.covariance
+    if moves:
+        measured = _at_rest(_rests(after, known, started), after)
+        bias = measured.bias
+
+        def moved(record: CalibrationRecord) -> Array:
+            return _at_rest(_rests(record, known, started), record).bias - bias
+
+        by_terms = _by_terms(before, after, Sensor.GYROSCOPE, moved)
+        covariance = with_wander(covariance, replace(measured, covariance=measured.covariance + by_terms))
     held = _held_by_scale(part, after) - _held_by_scale(part, before)
     changed = replace(
         part,
         bias=frozen(bias),
         scale=frozen(part.scale @ np.diag(1.0 / (1.0 - held))),
-        covariance=_less_certain(part, held),
+        covariance=_less_certain(part.names, covariance, held),
     )
     changed_record = replace(after, gyroscope=changed)
     return _without_forecast(changed_record, Sensor.GYROSCOPE) if moves else changed_record
 
 
-def _at_rest(pool: Pool, record: CalibrationRecord) -> Array:
-    """Return the gyroscope's bias, (3,), as a calibration's rests show it. NotSupported where they do not."""
+def _at_rest(pool: Pool, record: CalibrationRecord) -> BiasEstimate:
+    """Return the gyroscope's bias as a calibration's rests show it. NotSupported where they do not."""
     rests = [rest for rest in pool.rests if rest.rate is not None]
     if str(Sensor.GYROSCOPE) in record.forecast:
         rests = rests[-1:]
-    return bias_from_rests(rests).bias
+    return bias_from_rests(rests)
 
 
 _HELD_SD = 0.5
@@ -257,12 +320,12 @@ _HELD_SD = 0.5
 nothing in its fit, and is counted here."""
 
 
-def _less_certain(part: GyroscopeRecord, held: Array) -> Array | None:
+def _less_certain(names: Sequence[str], covariance: Array | None, held: Array) -> Array | None:
     """Return the covariance of a gyroscope whose scale was changed by `held`, (3,) of one."""
-    if part.covariance is None or not set(DIAGONAL) <= set(part.names):
-        return part.covariance
-    wider = np.array(part.covariance)
-    rows = [part.names.index(name) for name in DIAGONAL]
+    if covariance is None or not set(DIAGONAL) <= set(names):
+        return covariance
+    wider = np.array(covariance)
+    rows = [names.index(name) for name in DIAGONAL]
     wider[rows, rows] += (_HELD_SD * held) ** 2
     return frozen(wider)
 

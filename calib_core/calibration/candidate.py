@@ -109,7 +109,7 @@ def fit_candidate(
     gyro = fit_gyroscope(replace(pool, turns=steady.turns), fit.model, gravity.value, settings.gyroscope)
     labels = attitude_labels(forces(pool.rests), settings.accelerometer.attitude_angle)
     record = CalibrationRecord(
-        accelerometer=_accelerometer_record(fit, change, forces(steady.rests)),
+        accelerometer=accelerometer_record(fit, change, forces(steady.rests)),
         gyroscope=None
         if gyro is None
         else _at_reference(gyroscope_record(gyro, t, pool.turns), steady, known),
@@ -200,7 +200,7 @@ def gyroscope_record(fit: GyroscopeFit, t: float, turns: Sequence[RotationSegmen
         bias=fit.model.bias,
         parameters=_PARAMETER_COUNT[fit.parameters],
         names=_GYRO_NAMES,
-        covariance=_with_wander(fit.covariance, fit.bias),
+        covariance=with_wander(fit.covariance, fit.bias),
         rms_residual=fit.rms_after if n_segments else None,
         rms_nominal=fit.rms_before if n_segments else None,
         n_rests=fit.bias.n_rests,
@@ -245,7 +245,7 @@ def with_updated_bias(record: CalibrationRecord, recent: Pool, t: float) -> Cali
     part = replace(
         known,
         bias=new_model.bias,
-        covariance=_with_wander(known.covariance, estimate),
+        covariance=with_wander(known.covariance, estimate),
         rotation_admitted=_nan_where_unbounded(estimate.undetected_rotation_bound),
         zeroed_at=t,
     )
@@ -300,7 +300,7 @@ def fit_gyroscope(
         return None
 
 
-def _accelerometer_record(fit: AccelerometerFit, change: Change | None, raw: Array) -> AccelerometerRecord:
+def accelerometer_record(fit: AccelerometerFit, change: Change | None, raw: Array) -> AccelerometerRecord:
     """Return the record of a fit to raw forces (n, 3), whose covariance holds what the fit could not see.
 
     That is a bias that changed, and, where there are no more attitudes than parameters, the scatter that no
@@ -344,7 +344,7 @@ def validity_of(rests: Sequence[RestState]) -> Validity:
     return Validity(temperature_min=min(temperatures), temperature_max=max(temperatures))
 
 
-def _with_wander(covariance: Array | None, bias: BiasEstimate) -> Array | None:
+def with_wander(covariance: Array | None, bias: BiasEstimate) -> Array | None:
     """Return a gyroscope's covariance (12, 12) with its bias as uncertain as a single rest leaves it.
 
     The mean over all rests is known better than that, but the bias is used between the rests, where it

@@ -104,7 +104,7 @@ class Correction:
         by = self.response(term, at)
         if by is None:
             return self.unknown(term, at)
-        squares = sum((by[name] * _sd(term.parameters[name])) ** 2 for name in by)
+        squares = sum((by[name] * uncertainty_of(term.parameters[name])) ** 2 for name in by)
         sd = np.sqrt(np.asarray(squares))
         return np.where(np.isfinite(sd), sd, self.unknown(term, at))
 
@@ -165,7 +165,7 @@ def _read(given: Mapping[str, Any], unit: str) -> TermParameter:
     return TermParameter(value=value, unit=str(given.get("unit") or unit), ci95=ci95)
 
 
-def _sd(parameter: TermParameter) -> Array:
+def uncertainty_of(parameter: TermParameter) -> Array:
     """Return the standard uncertainty of a parameter; 0 where it was not stated."""
     if parameter.ci95 is None:
         return np.zeros(parameter.value.shape)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from stillcal.calib_core.accelerometer.parameters import basis, inverse, names
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.bias_curve import learn_accelerometer, learn_gyroscope
@@ -259,6 +260,7 @@ def test_a_store_adopts_an_effect_shows_it_and_gives_it_back(effect: str, tmp_pa
     assert f"now corrects {effect}" in said.output
     assert "not taken up: clock_skew: a calibration has no correction for it" in said.output
     assert f"term {effect}" in run(store_group, ["show", str(store)]).output
+    assert f"accepted: terms, {effect} taken up" in run(store_group, ["show", str(store)]).output
     assert "terms from day.json" in run(store_group, ["history", str(store)]).output
     kept = Store(store).load().current
     assert (
@@ -354,3 +356,41 @@ def test_every_effect_of_either_sensor_is_tried_here() -> None:
     others = {"accel_bias_temperature", "gyro_bias_temperature", "gyro_g_sensitivity"}  # test_terms.py
     turns = {"gyro_scale_temperature", "gyro_nonlinearity"}  # test_corrections_in_turns.py
     assert set(ADOPTABLE) == set(CASES) | others | turns
+
+
+@pytest.mark.parametrize("effect", ["accel_charging_bias", "accel_warmup", "gyro_charging_bias"])
+def test_the_stated_uncertainty_after_an_adoption_is_that_of_the_new_fit(effect: str) -> None:
+    """It holds that of the term's own parameters, and no more the scatter that the term explains."""
+    sensor, case = sensor_of(effect), CASES[effect]
+    name, value = next((k, np.asarray(v)) for k, v in case.parameters.items())
+    sure, settled = (BIAS, value * effect.endswith("_warmup")) if sensor is ACCEL else (RATE_BIAS, 0.0)
+    errors, before = [], record(effect)
+    for k in range(12):
+        off = 0.01 * value * np.random.default_rng(k).normal(size=3) / 1.96
+        told = finding(effect)
+        told["parameters"] |= {name: {"value": (value + off).tolist(), "unit": ""}}
+        told["parameters"][name]["ci95"] = np.stack(
+            [value + off - 0.01 * value, value + off + 0.01 * value], -1
+        )
+        rests = pool(effect, 100 + k)
+        fitted = fit_candidate(rests, rests.held[0].gravity, N * STEP_S, CalibrateSettings()).record
+        new = with_terms(replace(fitted, provenance=before.provenance), [told], BEGINNING)
+        part = new.accelerometer if sensor is ACCEL else new.gyroscope
+        errors.append((part.bias - sure - settled) / part.bias_uncertainty)
+    assert 0.4 < rms(np.array(errors)) < 1.2
+
+
+def test_the_rotation_of_all_axes_keeps_its_uncertainty() -> None:
+    known = record("accel_charging_bias")
+    rng, symmetric = np.random.default_rng(8), basis(9)
+    turned = np.eye(12) - symmetric @ inverse(9)
+    spread = 1e-3 * rng.normal(size=(12, 12))
+    whole = replace(known.accelerometer, parameters=12, names=names(12), covariance=spread @ spread.T)
+    before, after = (
+        with_terms(
+            replace(known, accelerometer=part), [finding("accel_charging_bias")], BEGINNING
+        ).accelerometer
+        for part in (known.accelerometer, whole)
+    )
+    assert inverse(9) @ after.covariance @ inverse(9).T == pytest.approx(before.covariance, rel=1e-6)
+    assert turned @ after.covariance @ turned.T == pytest.approx(turned @ whole.covariance @ turned.T)
