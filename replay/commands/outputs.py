@@ -106,4 +106,6 @@ def refuse_collisions(writes: Iterable[Path], reads: Iterable[Path]) -> None:
         folder = led_to(path).parent
         if not (folder.is_dir() and os.access(folder, os.W_OK)):
             raise click.UsageError(f"{path} cannot be written: {folder} is not a writable folder")
+        if path.is_dir():
+            raise click.UsageError(f"{path} cannot be written: it is a folder; give a file's name")
         outputs.add(path.resolve())

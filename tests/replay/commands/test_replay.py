@@ -132,6 +132,7 @@ def test_degrees_for_radians_are_recognised(tmp_path: Path, run: Run, lab: Path)
         (["replay", "lab", "--gravity", "98"], "gravity"),
         (["replay", "lab", "--json", "no/folder/c.json"], "no/folder"),
         (["replay", "lab", "--store", "no/folder/s.json"], "no/folder"),
+        (["replay", "lab", "--store", "s.json", "--json", "/"], "/ cannot be written: it is a folder"),
         (["apply", "lab", "--store", "none.json", "--out", "out.csv"], "none.json: has no calibration"),
     ],
 )
