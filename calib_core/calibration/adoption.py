@@ -53,6 +53,8 @@ def refusal(finding: Mapping[str, Any]) -> str:
     effect = str(finding["effect"])
     if effect not in ADOPTABLE:
         return next((why for end, why in _WHY_NOT.items() if effect.endswith(end)), _NO_TERM)
+    if finding.get("relation") == "superfluous":
+        return "the simulation has it, and the recording does not show it"
     alike = [a["effect"] for a in finding.get("alternatives", ()) if a.get("indistinguishable")]
     return f"{' or '.join(alike)} fits as well" if alike else ""
 

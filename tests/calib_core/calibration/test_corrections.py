@@ -327,6 +327,11 @@ def test_what_has_nothing_to_count_from_is_refused_with_a_reason() -> None:
     alike = finding("accel_nonlinearity", alternatives=[{"effect": "unknown", "indistinguishable": True}])
     with pytest.raises(NotSupported, match="accel_nonlinearity: unknown fits as well"):
         with_terms(record(""), [alike])
+    simulated = finding("accel_nonlinearity", relation="superfluous")
+    with pytest.raises(
+        NotSupported, match="accel_nonlinearity: the simulation has it, and the recording does"
+    ):
+        with_terms(record(""), [simulated])
 
 
 @pytest.mark.parametrize(
