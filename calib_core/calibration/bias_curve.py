@@ -51,6 +51,7 @@ from stillcal.calib_core.temperature.regression import (
     Observations,
     Priors,
     Spans,
+    averaged,
     learn,
 )
 
@@ -334,21 +335,23 @@ def _learn_by(
     change, evidence = _change(curved, without, seen, term is not None, settings)
     misled = _misled(curved, without, seen.t)
     if misled > ENOUGH_GAIN:
-        return _unguided(sensor, without, seen, driver, middle=middle, term=term, t=t)
+        return _unguided(sensor, averaged(without, t), seen, driver, middle=middle, term=term, t=t)
     if change == TAKEN_UP and misled > MOST_GAIN:  # more than one bad rest speaks against it
         change = ""
     applied = change == TAKEN_UP or (term is not None and change != DROPPED)
+    curved = averaged(curved, t)
+    used = curved if applied else averaged(without, t)
     behind = seen.celsius - driver.read
     known_behind = behind[np.isfinite(behind) & (behind != 0.0)]
     forecast = replace(
-        _forecast(curved if applied else without, curved, driver, seen.celsius, t),
+        _forecast(used, curved, driver, seen.celsius, t),
         lag_s=lag,
         behind_sd=rms(known_behind),
     )
     held = _term(sensor, forecast) if applied else None
     return _learnt(
         sensor,
-        curved if applied else without,
+        used,
         t=seen.t,
         middle=middle,
         forecast=forecast,
@@ -431,10 +434,10 @@ def _undecided(
     if term is not None and known_now:
         offset, told = driver.offset(term), told_curve(term)[1:]
         seen = seen.less(offset)
-    fit = curved = learn(seen, model, t, start)
+    fit = curved = averaged(learn(seen, model, t, start), t)
     if known_now and driver.mostly_known:
         priors = _after(model.priors, None if term is None else before)
-        curved = learn(seen, replace(model, priors=priors, with_curve=True), t, fit.wander)
+        curved = averaged(learn(seen, replace(model, priors=priors, with_curve=True), t, fit.wander), t)
     forecast = _forecast(fit, curved, driver, seen.celsius, t)
     forecast = replace(forecast, curve=frozen(forecast.curve + told))
     learnt = partial(_learnt, sensor, fit, t=seen.t, middle=middle, forecast=forecast, evidence={})

@@ -196,14 +196,16 @@ class Model:
 class Fit:
     """A regression's result.
 
-    model: what was fitted. wander: that of greatest likelihood. log_likelihood: of it, prior included.
-    errors: (n, k), of predicting each rest from those before it, and errors_sd (n,). level: (p, k) what is
-    unknown besides the curve, its bias as it is now; curve: (3, 3) c1, c2, c3 by axis. covariance: of level
-    and then the curve, axes innermost. course: (n, 3) the bias at every rest, in excess of what the values
-    count from; empty where each rest shows all of it. steps: where the bias stepped. doubted: rows of rests
-    that disagree with those before and after them.
+    seen: the observations that it is of, made linear and with its doubts. model: what was fitted. wander:
+    that of greatest likelihood. log_likelihood: of it, prior included. errors: (n, k), of predicting each
+    rest from those before it, and errors_sd (n,). level: (p, k) what is unknown besides the curve, its bias
+    as it is now; curve: (3, 3) c1, c2, c3 by axis. covariance: of level and then the curve, axes innermost.
+    course: (n, 3) the bias at every rest, in excess of what the values count from; empty where each rest
+    shows all of it. steps: where the bias stepped. doubted: rows of rests that disagree with those before
+    and after them.
     """
 
+    seen: Observations
     model: Model
     wander: Wander
     log_likelihood: float
@@ -318,6 +320,7 @@ class Regression:
         mean, covariance = self._present(best, _EVEN, now, steps)
         p = self._seen.level.shape[1]
         return Fit(
+            self._seen,
             self._model,
             wander,
             best.score,
@@ -331,15 +334,8 @@ class Regression:
         )
 
     def averaged(self, fit: Fit, now: float) -> Fit:
-        """Return a fit with level and curve averaged over the lines along which the bias may wander.
-
-        Temperature moves a bias along one line. An attitude shows one direction of that only, so that a phone
-        that always lies alike shows little of a wander that may be large. The weights are the likelihoods;
-        a wander that is alike on all axes counts for one half before. now: s.
-        """
+        """Return a fit of rests that show one direction each, as `averaged` does. now: s."""
         seen = self._seen
-        if seen.towards is None:
-            return fit
         likely = [(w, *self._present(*own, now, fit.steps)) for w, own in self._likely_shapes(fit)]
         mean = np.sum([weight * at for weight, at, _ in likely], axis=0)
         spread = [weight * (own + (at - mean) @ (at - mean).T) for weight, at, own in likely]
@@ -513,37 +509,37 @@ def learn(seen: Observations, model: Model, now: float, start: Wander | None = N
     """
     if not len(seen.t):
         raise ValueError("no rests to learn from")
-    found = _Found(seen, Regression(seen, model).fit(now, start=start))
+    fit = Regression(seen, model).fit(now, start=start)
     for _ in range(MOST_BREAKS):
-        broken = _broken(found, now)
+        broken = _broken(fit, now)
         if broken is None:
             break
-        found = broken
-    seen, fit = _linear(found.seen, found.fit, now)
-    return replace(Regression(seen, model).averaged(fit, now), doubted=found.doubted)
+        fit = broken
+    return _linear(fit, now)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """A fit, the observations that it is of, with doubts and made linear, and the rows that are doubted."""
+def averaged(fit: Fit, now: float) -> Fit:
+    """Return a fit with level and curve averaged over the lines along which the bias may wander.
 
-    seen: Observations
-    fit: Fit
-    doubted: tuple[int, ...] = ()
+    Temperature moves a bias along one line. An attitude shows one direction of that only, so that a phone
+    that always lies alike shows little of a wander that may be large. The weights are the likelihoods;
+    a wander that is alike on all axes counts for one half before. now: s, as of the fit.
+    """
+    return fit if fit.seen.towards is None else Regression(fit.seen, fit.model).averaged(fit, now)
 
 
-def _broken(found: _Found, now: float) -> _Found | None:
+def _broken(fit: Fit, now: float) -> Fit | None:
     """Return the likeliest fit with one step or doubted rest more, None where no rest asks for one.
 
     Where each rest shows one direction only, a bias that steps looks like one that wanders far. So rests are
     looked at with no more wander than usual there, and what is found must be likelier than more wander, by
     the number of rests at which it might have been; or a rest misses its prediction as much with more wander.
     """
-    seen, fit, model = found.seen, found.fit, found.fit.model
+    seen, model = fit.seen, fit.model
     partly = seen.towards is not None
     usual = _usual(model.priors, fit.wander) if partly else fit.wander
-    quiet = Regression(seen, model).fit(now, fit.steps, usual, search=False) if partly else fit
-    missed = _missed(quiet, found.doubted)
+    quiet = _again(fit, now, wander=usual) if partly else fit
+    missed = _missed(quiet)
     row = int(missed.argmax())
     if missed[row] <= BREAK:
         return None
@@ -553,27 +549,43 @@ def _broken(found: _Found, now: float) -> _Found | None:
     rows = {*off[:1].tolist(), *off[-_BEGINNINGS:].tolist()} if partly else {row}
     taken = {step.t for step in fit.steps}
     ways = [
-        _Found(*_linear(seen, Regression(seen, model).fit(now, (*fit.steps, step), usual, False), now))
+        _linear(_again(fit, now, steps=(*fit.steps, step), wander=usual), now)
         for step in (Step(float(seen.t[k]), size) for k in sorted(rows))
         if step.t not in taken
     ]
-    doubting = seen.doubting(row, size)
-    again = Regression(doubting, model).fit(now, fit.steps, usual, search=False)
-    doubt = _Found(*_linear(doubting, again, now), (*found.doubted, row))
-    best = max(ways, key=lambda way: way.fit.log_likelihood, default=doubt)
+    again = _again(fit, now, seen=seen.doubting(row, size), wander=usual)
+    doubt = _linear(replace(again, doubted=(*fit.doubted, row)), now)
+    best = max(ways, key=lambda way: way.log_likelihood, default=doubt)
     newest = row == len(missed) - 1
-    if not newest and doubt.fit.log_likelihood > best.fit.log_likelihood + _LIKELIER:
+    if not newest and doubt.log_likelihood > best.log_likelihood + _LIKELIER:
         best = doubt
-    searched = Regression(best.seen, model).fit(now, best.fit.steps, usual)
-    broken = _Found(*_linear(best.seen, searched, now), best.doubted or found.doubted)
-    likelier = broken.fit.log_likelihood > fit.log_likelihood + np.log(len(seen.t))
-    return broken if likelier or _missed(fit, found.doubted)[row] > BREAK else None
+    searched = Regression(best.seen, model).fit(now, best.steps, usual)
+    broken = _linear(replace(searched, doubted=best.doubted), now)
+    likelier = broken.log_likelihood > fit.log_likelihood + np.log(len(seen.t))
+    return broken if likelier or _missed(fit)[row] > BREAK else None
 
 
-def _missed(fit: Fit, doubted: tuple[int, ...]) -> Array:
-    """Return by how many standard uncertainties each rest misses its prediction, (n,); 0 for the first."""
+def _again(
+    fit: Fit,
+    now: float,
+    *,
+    seen: Observations | None = None,
+    steps: tuple[Step, ...] | None = None,
+    wander: Wander | None = None,
+) -> Fit:
+    """Return the fit of other observations, or with other steps or another wander, without a search."""
+    regression = Regression(seen or fit.seen, fit.model)
+    found = regression.fit(now, fit.steps if steps is None else steps, wander or fit.wander, search=False)
+    return replace(found, doubted=fit.doubted)
+
+
+def _missed(fit: Fit) -> Array:
+    """Return by how many standard uncertainties each rest misses its prediction, (n,).
+
+    It is 0 for the first and for those that are doubted.
+    """
     missed = np.abs(fit.errors).max(axis=1) / fit.errors_sd
-    missed[[0, *doubted]] = 0.0
+    missed[[0, *fit.doubted]] = 0.0
     return np.asarray(missed)
 
 
@@ -587,11 +599,10 @@ def _usual(priors: Priors, wander: Wander) -> Wander:
     )
 
 
-def _linear(seen: Observations, fit: Fit, now: float) -> tuple[Observations, Fit]:
-    """Return the observations made linear about the bias that a fit found for each rest, and their fit."""
+def _linear(fit: Fit, now: float) -> Fit:
+    """Return a fit of its observations made linear about the bias that it found for each rest."""
     for _ in range(_MOST_REPEATS):
-        if seen.linear is None or np.abs(fit.course - seen.near).max() <= _LINEAR:
+        if fit.seen.linear is None or np.abs(fit.course - fit.seen.near).max() <= _LINEAR:
             break
-        seen = seen.about(fit.course)
-        fit = Regression(seen, fit.model).fit(now, fit.steps, fit.wander, search=False)
-    return seen, fit
+        fit = _again(fit, now, seen=fit.seen.about(fit.course))
+    return fit
