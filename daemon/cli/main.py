@@ -91,7 +91,8 @@ def main() -> None:
         sys.exit(1)
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        click.echo(f"stillcal: {where}{error.strerror or error}", err=True)
+        remedy = "; check the path" if isinstance(error, FileNotFoundError) else ""
+        click.echo(f"stillcal: {where}{error.strerror or error}{remedy}", err=True)
         sys.exit(BAD_INPUT)
 
 

@@ -81,6 +81,14 @@ def test_a_device_is_no_file_to_read_and_a_pipe_is_no_store_to_write(path: Path,
     assert "not a regular file" in ran.stderr and len(ran.stderr.splitlines()) == 1
 
 
+def test_a_file_that_is_not_there_is_named_with_what_to_do(path: Path) -> None:
+    ran = limited("store", "adopt-terms", path, "none.json")
+    assert (ran.returncode, ran.stderr) == (
+        2,
+        "stillcal: none.json: No such file or directory; check the path\n",
+    )
+
+
 def test_a_file_that_has_nothing_to_read_now_is_no_file_to_read(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
