@@ -49,7 +49,7 @@ _WHY_NOT = {
 
 
 def refusal(finding: Mapping[str, Any]) -> str:
-    """Return why a finding cannot be taken up, "" where it can be."""
+    """Return why a finding cannot be taken up into any calibration, "" where it can be."""
     effect = str(finding["effect"])
     if effect not in ADOPTABLE:
         return next((why for end, why in _WHY_NOT.items() if effect.endswith(end)), _NO_TERM)
@@ -59,19 +59,25 @@ def refusal(finding: Mapping[str, Any]) -> str:
     return f"{' or '.join(alike)} fits as well" if alike else ""
 
 
+def refusals(
+    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], diagnosed: Beginning | None = None
+) -> dict[str, str]:
+    """Return why `with_terms` leaves findings out, by effect. ValueError on a malformed finding."""
+    return _sorted_out(record, findings, diagnosed)[1]
+
+
 def with_terms(
     record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], diagnosed: Beginning | None = None
 ) -> CalibrationRecord:
     """Return the calibration with terms for those findings (of `diagnose --json`) that can be applied.
 
     A finding replaces an earlier term of the same effect. diagnosed: the beginning of the recording that was
-    diagnosed, None where unknown. Raises NotSupported where none of the findings can be applied, or where a
-    term has nothing to count from; ValueError on a malformed finding.
+    diagnosed, None where unknown. Raises NotSupported where none of the findings can be applied; ValueError
+    on a malformed finding.
     """
-    found = list(findings)
-    fresh = terms_of(record, found)
+    fresh, refused = _sorted_out(record, findings, diagnosed)
     if not fresh:
-        why = "; ".join(f"{f['effect']}: {refusal(f)}" for f in found)
+        why = "; ".join(f"{effect}: {text}" for effect, text in refused.items())
         raise NotSupported(f"no finding can be applied{f' ({why})' if why else ''}")
     others = [term for term in record.terms if term.effect not in fresh]
     refitting = [term for term in fresh.values() if CORRECTIONS[term.effect].refits]
@@ -80,17 +86,50 @@ def with_terms(
         terms=(*others, *fresh.values()),
         acceptance=replace(record.acceptance, how="terms", reason=_reason(fresh.values(), refitting)),
     )
-    for finding in found:
-        if finding["effect"] in fresh and CORRECTIONS[finding["effect"]].by_start:
-            _require_same_start(record, finding, diagnosed)
-    started = None if record.provenance.beginning is None else record.provenance.beginning.t
-    for term in refitting:
-        _require_drivers(record, term, started)
+    started = _started(record)
     known = _known(record, refitting, started)
     for sensor, refitted in ((Sensor.ACCELEROMETER, _accelerometer), (Sensor.GYROSCOPE, _gyroscope)):
         if any(term.sensor == sensor for term in refitting):
             after = refitted(record, after, known, started)
     return after
+
+
+def _sorted_out(
+    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], diagnosed: Beginning | None
+) -> tuple[dict[str, Term], dict[str, str]]:
+    """Return the terms of findings that a calibration can take up, and why not of the others, by effect."""
+    terms: dict[str, Term] = {}
+    refused: dict[str, str] = {}
+    for finding in findings:
+        effect = str(finding["effect"])
+        try:
+            terms[effect] = _supported(record, finding, diagnosed)
+        except NotSupported as error:
+            refused[effect] = str(error)
+    return terms, refused
+
+
+def _supported(record: CalibrationRecord, finding: Mapping[str, Any], diagnosed: Beginning | None) -> Term:
+    """Return the term of a finding. Raises NotSupported where the calibration cannot take it up."""
+    if why := refusal(finding):
+        raise NotSupported(why)
+    term = _term(record, finding)
+    correction = CORRECTIONS[term.effect]
+    if correction.refits:
+        part = record.accelerometer if term.sensor is Sensor.ACCELEROMETER else record.gyroscope
+        if part is None:
+            raise NotSupported(f"the calibration is not of the {term.sensor}", [f"one of the {term.sensor}"])
+        if correction.by_start:
+            _require_same_start(record, finding, diagnosed)
+        _require_drivers(record, term, _started(record))
+    if term.sensor is Sensor.GYROSCOPE and record.gyroscope is not None:
+        _turn_powers(record.gyroscope, term)
+    return term
+
+
+def _started(record: CalibrationRecord) -> float | None:
+    """Return when the recording began that a calibration is of, s; None where it is of a running phone."""
+    return None if record.provenance.beginning is None else record.provenance.beginning.t
 
 
 def _reason(terms: Iterable[Term], refitting: Collection[Term]) -> str:
@@ -119,10 +158,8 @@ def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
     if "temperature" in correction.references:
         at = mean_temperature(record)
         if at is None:
-            raise NotSupported(
-                f"{correction.effect}: the calibration's rests have no temperature",
-                ["a recording with temperature"],
-            )
+            missing = "a calibration from a recording with temperature"
+            raise NotSupported("the calibration's rests have no temperature", [missing])
         reference = {"temperature": at}
     assert correction.sensor is not None, "the heat of charging is refused"
     return correction.term(correction.sensor, finding, reference)
@@ -139,19 +176,17 @@ def _require_same_start(
     effect, own = finding["effect"], record.provenance.beginning
     if diagnosed is None:
         raise NotSupported(
-            f"{effect}: the diagnosis does not say when its recording began",
+            "the diagnosis does not say when its recording began",
             ["a diagnosis of a recording by this version"],
         )
     if finding["where"]["t_start"] - diagnosed.t > _WITH_THE_START_S:
         raise NotSupported(
-            f"{effect}: only a part of the recording was diagnosed, which began later",
+            "only a part of the recording was diagnosed, which began later",
             ["a diagnosis without --from"],
         )
     if own is not None and own != diagnosed:
         name = record.provenance.source or "without a name"
-        raise NotSupported(
-            f"{effect}: the calibration is of another recording ({name})", [CORRECTIONS[effect].remedy]
-        )
+        raise NotSupported(f"the calibration is of another recording ({name})", [CORRECTIONS[effect].remedy])
 
 
 def _at_states(record: CalibrationRecord, started: float | None) -> Drivers:
@@ -171,13 +206,11 @@ def _require_drivers(record: CalibrationRecord, term: Term, started: float | Non
     correction: Correction = CORRECTIONS[term.effect]
     if not record.states:
         raise NotSupported(
-            f"{term.effect}: the calibration came without its rests: what it holds of it is unknown",
+            "the calibration is without its rests, as one that was imported or rolled back to",
             ["a calibration by stillcal replay, or by the daemon"],
         )
     if not _known(record, [term], started).any():
-        raise NotSupported(
-            f"{term.effect}: the calibration's rests do not say {correction.driver}", [correction.remedy]
-        )
+        raise NotSupported(f"the calibration's rests do not say {correction.driver}", [correction.remedy])
 
 
 def _known(record: CalibrationRecord, terms: Iterable[Term], started: float | None) -> NDArray[np.bool_]:
@@ -348,7 +381,7 @@ def _turn_powers(part: GyroscopeRecord, term: Term) -> Array:
         return np.zeros((2, 3))
     if part.turn_powers is None:
         raise NotSupported(
-            f"{term.effect}: the calibration does not say how fast the turns were that its scale comes from",
+            "the calibration does not say how fast the turns were that its scale comes from",
             ["a new calibration by stillcal replay, or by the daemon"],
         )
     return part.turn_powers

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.adoption import refusal, with_terms
+from stillcal.calib_core.calibration.adoption import refusals, with_terms
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term, lag_of
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
@@ -149,15 +149,15 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
         try:
             found, diagnosed = _findings(diagnosis)
             record = with_terms(document.current, found, diagnosed)
+            refused = refusals(document.current, found, diagnosed)
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{input_name(diagnosis)}: {error}") from error
         store.publish(record, f"terms from {short_name(diagnosis)}")
     click.echo(
         f"{path}: calibration {record.id} now corrects {', '.join(term.effect for term in record.terms)}"
     )
-    for finding in found:
-        if why := refusal(finding):
-            click.echo(printable(f"not taken up: {finding['effect']}: {why}"), err=True)
+    for effect, why in refused.items():
+        click.echo(printable(f"not taken up: {effect}: {why}"), err=True)
 
 
 def _findings(path: Path) -> tuple[list[dict[str, Any]], Beginning | None]:

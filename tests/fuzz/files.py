@@ -90,7 +90,7 @@ def _feed_diagnosis(data: bytes) -> None:
         path = Path(folder) / "day.json"
         path.write_bytes(data)
         with contextlib.suppress(ValueError, KeyError, TypeError):  # adopt-terms makes one line of these
-            render(StoreDocument(current=with_terms(_warm_record(), _findings(path))))
+            render(StoreDocument(current=with_terms(_warm_record(), *_findings(path))))
 
 
 def _map_seeds() -> list[bytes]:

@@ -319,7 +319,7 @@ def test_what_has_nothing_to_count_from_is_refused_with_a_reason() -> None:
     with pytest.raises(NotSupported, match="do not say how long before them the sensors were switched on"):
         with_terms(daemons, [finding("gyro_warmup")], BEGINNING)
     bare = replace(record("accel_nonlinearity"), states=())
-    with pytest.raises(NotSupported, match="came without its rests"):
+    with pytest.raises(NotSupported, match="is without its rests"):
         with_terms(bare, [finding("accel_nonlinearity")])
     step = {"effect": "accel_bias_step", "parameters": {}}
     with pytest.raises(NotSupported, match="accel_bias_step: it is over once the phone is calibrated anew"):
@@ -348,6 +348,18 @@ def test_a_warm_up_of_another_recording_of_the_same_name_is_refused(
     warming = finding("accel_warmup", where={"t_start": t_start, "t_end": 4800.0})
     with pytest.raises(NotSupported, match=why):
         with_terms(record("accel_warmup"), [warming], diagnosed)
+
+
+def test_what_a_calibration_cannot_take_up_is_said_and_the_rest_is_taken_up(tmp_path: Path) -> None:
+    store, diagnosis = tmp_path / "store.json", tmp_path / "day.json"
+    Store(store).publish(record("accel_charging_bias"))
+    useless = finding("accel_nonlinearity", relation="superfluous", parameters={})
+    found = [finding("accel_charging_bias"), finding("gyro_warmup"), useless]
+    diagnosis.write_text(json.dumps({"findings": found}))
+    said = CliRunner().invoke(store_group, ["adopt-terms", str(store), str(diagnosis)])
+    assert said.exit_code == 0 and "now corrects accel_charging_bias\n" in said.output
+    assert "not taken up: gyro_warmup: the diagnosis does not say when its recording began" in said.output
+    assert "not taken up: accel_nonlinearity: the simulation has it, and the recording does" in said.output
 
 
 def test_a_warm_up_that_was_taken_up_is_taken_off_when_another_effect_follows() -> None:
