@@ -15,15 +15,25 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.acceptance import flipped_share
 from stillcal.calib_core.calibration.bias_curve import BLOCK_S, DROPPED, TAKEN_UP, Learnt, learn_gyroscope
-from stillcal.calib_core.calibration.corrections.catalogue import check_terms
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPTABLE, CORRECTIONS, check_terms
 from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import with_learnt_gyroscope
 from stillcal.calib_core.calibration.record import Acceptance, CalibrationRecord, Evidence
+from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.memory import Memory
 
-TESTED = ("gyro_g_sensitivity",)
-"""Effects that a trial can decide on."""
+TESTED = tuple(
+    effect
+    for effect in ADOPTABLE
+    if (correction := CORRECTIONS[effect]).sensor is Sensor.GYROSCOPE
+    and not (correction.of_reading or correction.by_start or correction.has_forecast)
+)
+"""Effects that a trial can decide on: those of the gyroscope's bias whose driver a rest keeps.
+
+A rest shows none of what follows the rate, and does not say how long the sensors were on. What the
+accelerometer reads at rest is a length, which bias and scale make together: its effects change both.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,14 +11,15 @@ from msgspec import structs
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.record import CalibrationRecord
-from stillcal.calib_core.calibration.trial import Trial, judge
+from stillcal.calib_core.calibration.trial import TESTED, Trial, judge
 from stillcal.calib_core.codec import packed, unpacked
 from stillcal.calib_core.engine.actions import Publish
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings, ScheduleSettings
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.static.rest import RestState
-from stillcal.calib_core.streams.events import Tick
+from stillcal.calib_core.streams.events import Charging, Tick
+from stillcal.calib_core.temperature.charger import Charger
 from tests.calib_core.calibration.test_following import (
     HOUR,
     SETTINGS,
@@ -32,7 +33,7 @@ from tests.calib_core.calibration.test_following import (
 
 EFFECT = "gyro_g_sensitivity"
 MATRIX = 1e-4 * np.array([[2.0, 0.0, -1.0], [0.0, 1.5, 0.0], [0.5, 0.0, 2.0]])
-NOTHING = np.zeros((3, 3))
+NOTHING, NO_STEP = np.zeros((3, 3)), np.zeros(3)
 
 
 def sensitive(rests: list[RestState], matrix: Array = MATRIX) -> list[RestState]:
@@ -100,3 +101,33 @@ def test_the_engine_puts_a_finding_on_trial_for_a_night_and_keeps_the_trial() ->
     assert len(published) == 1
     (found,) = [t for t in published[0].record.terms if t.effect == EFFECT]
     assert np.array_equal(found.parameters["matrix"].value, MATRIX)
+
+
+STEP = 0.05 * np.array([1.0, -0.6, 0.8]) * np.pi / 180.0
+
+
+def plugged(rests: list[RestState], step: Array = STEP) -> list[RestState]:
+    """Return the rests of a gyroscope whose bias steps on the charger, plugged in every other 100 minutes."""
+    charger = Charger().with_events(Charging(t=6000.0 * k, on=k % 2 == 0) for k in range(40))
+    on = charger.course(np.array([0.5 * (rest.t_start + rest.t_end) for rest in rests]))
+    return [
+        structs.replace(r, charged=c, rate=frozen(r.rate + c[0] / 10.0 * step))
+        for r, c in zip(rests, on, strict=True)
+    ]
+
+
+def by_charger() -> Term:
+    parameter = TermParameter(value=frozen(STEP), unit="rad/s", ci95=None)
+    return Term(effect="gyro_charging_bias", sensor="gyroscope", parameters={"step": parameter})
+
+
+def test_a_bias_on_the_charger_is_taken_up_and_dropped_by_the_same_rule() -> None:
+    assert set(TESTED) == {EFFECT, "gyro_charging_bias"}
+    memory = remembered(plugged(lived(30.0)))
+    outcome = judge(Trial(by_charger(), 20 * HOUR), record(), memory, 30 * HOUR, SETTINGS)
+    assert outcome.record is not None and "gyro_charging_bias taken up" in outcome.record.acceptance.reason
+    memory = remembered(plugged(lived(30.0), NO_STEP))
+    outcome = judge(Trial(by_charger(), 20 * HOUR), record(by_charger()), memory, 30 * HOUR, SETTINGS)
+    assert outcome.record is not None and "gyro_charging_bias dropped" in outcome.record.acceptance.reason
+    outcome = judge(Trial(by_charger(), 20 * HOUR), record(), memory, 30 * HOUR, SETTINGS)
+    assert outcome.record is None and outcome.decided
