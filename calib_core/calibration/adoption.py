@@ -145,11 +145,15 @@ def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -
 
 def mean_temperature(record: CalibrationRecord) -> float | None:
     """Return the mean temperature (degC) of the rests fitted to, else the middle of the range of validity."""
+    known = _temperatures(record)
+    return float(np.mean(known)) if known else None
+
+
+def _temperatures(record: CalibrationRecord) -> list[float]:
+    """Return the temperatures (degC) of the rests fitted to, else the ends of the range of validity."""
     known = [s.temperature for s in record.states if s.temperature is not None]
-    if known:
-        return float(np.mean(known))
-    low, high = record.validity.temperature_min, record.validity.temperature_max
-    return None if low is None or high is None else 0.5 * (low + high)
+    ends = record.validity.temperature_min, record.validity.temperature_max
+    return known or [end for end in ends if end is not None]
 
 
 def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
@@ -161,6 +165,8 @@ def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
             missing = "a calibration from a recording with temperature"
             raise NotSupported("the calibration's rests have no temperature", [missing])
         reference = {"temperature": at}
+        if correction.keeps_spread:
+            reference["temperature_sd"] = float(np.std(_temperatures(record)))
     assert correction.sensor is not None, "the heat of charging is refused"
     return correction.term(correction.sensor, finding, reference)
 

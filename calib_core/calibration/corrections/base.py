@@ -56,19 +56,21 @@ class Correction:
     """One effect that can be taken out of readings.
 
     effect: its name in a diagnosis. sensor: None for an effect of either sensor. parameters: in the order of
-    the formula. references: names of what the parameters count from. of_reading: whether it follows what the
-    sensor itself reads; else it is a bias. has_forecast: whether the forecast of the bias states how
-    uncertain it is. refits: whether a calibration that takes it up is fitted anew to its own rests, because
-    its bias and scale hold a part of it. in_turns: whether the scale that was fitted to turns does.
-    by_charger: whether it follows the charger. by_start: whether it follows the time since the sensors were
-    switched on. driver: what it follows, in words, and remedy: what a
-    calibration needs whose rests do not tell it.
+    the formula. references: names of what the parameters count from. keeps_spread: whether a term keeps how
+    much the temperatures of the calibration differ (`temperature_sd`, K), for where one is unknown.
+    of_reading: whether it follows what the sensor itself reads; else it is a bias. has_forecast: whether the
+    forecast of the bias states how uncertain it is. refits: whether a calibration that takes it up is fitted
+    anew to its own rests, because its bias and scale hold a part of it. in_turns: whether the scale that was
+    fitted to turns does. by_charger: whether it follows the charger. by_start: whether it follows the time
+    since the sensors were switched on. driver: what it follows, in words, and remedy: what a calibration
+    needs whose rests do not tell it.
     """
 
     effect: str
     sensor: Sensor | None
     parameters: tuple[Parameter, ...]
     references: ClassVar[tuple[str, ...]] = ()
+    keeps_spread: ClassVar[bool] = False
     of_reading: ClassVar[bool] = False
     has_forecast: ClassVar[bool] = False
     refits: ClassVar[bool] = False

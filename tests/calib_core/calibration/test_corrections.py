@@ -272,6 +272,19 @@ def test_a_store_adopts_an_effect_shows_it_and_gives_it_back(effect: str, tmp_pa
     assert back.id == record(effect).id and not back.terms
 
 
+@pytest.mark.parametrize("stretched", [0.1, 3.0])
+def test_an_unknown_temperature_is_as_far_off_as_those_of_the_calibration(stretched: float) -> None:
+    """Five K at least: half of what charging warms a phone by."""
+    known = record("accel_scale_temperature")
+    states = [replace(s, temperature=30.0 + stretched * (s.temperature - 30.0)) for s in known.states]
+    new = with_terms(replace(known, states=tuple(states)), [finding("accel_scale_temperature")])
+    told = terms_uncertainty(new, ACCEL, Drivers(raw=new.accelerometer.bias + np.full((1, 3), 6.0)))
+    slope = np.abs(CASES["accel_scale_temperature"].parameters["slope"])
+    sd = max(5.0, np.std([state.temperature for state in states]))
+    assert (sd > 5.0) == (stretched > 1.0)
+    assert np.ravel(told) == pytest.approx(6.0 * slope * sd, rel=1e-3)
+
+
 BAD = [
     ("quadratic", [1.0, 0.0, 0.0], "at most"),
     ("quadratic", [float("nan"), 0.0, 0.0], "finite"),
