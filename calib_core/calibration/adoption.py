@@ -80,13 +80,13 @@ def with_terms(
         why = "; ".join(f"{effect}: {text}" for effect, text in refused.items())
         raise NotSupported(f"no finding can be applied{f' ({why})' if why else ''}")
     others = [term for term in record.terms if term.effect not in fresh]
-    refitting = [term for term in fresh.values() if CORRECTIONS[term.effect].refits]
+    started = _started(record)
+    refitting = [term for term in fresh.values() if _is_held(record, term, started)]
     after = replace(
         record,
         terms=(*others, *fresh.values()),
         acceptance=replace(record.acceptance, how="terms", reason=_reason(fresh.values(), refitting)),
     )
-    started = _started(record)
     known = _known(record, refitting, started)
     for sensor, refitted in ((Sensor.ACCELEROMETER, _accelerometer), (Sensor.GYROSCOPE, _gyroscope)):
         if any(term.sensor == sensor for term in refitting):
@@ -115,7 +115,7 @@ def _supported(record: CalibrationRecord, finding: Mapping[str, Any], diagnosed:
         raise NotSupported(why)
     term = _term(record, finding)
     correction = CORRECTIONS[term.effect]
-    if correction.refits:
+    if correction.refits and not correction.without_rests:
         part = record.accelerometer if term.sensor is Sensor.ACCELEROMETER else record.gyroscope
         if part is None:
             raise NotSupported(f"the calibration is not of the {term.sensor}", [f"one of the {term.sensor}"])
@@ -198,12 +198,14 @@ def _require_same_start(
 def _at_states(record: CalibrationRecord, started: float | None) -> Drivers:
     """Return what terms follow at the rests of a calibration."""
     rests = [state.rest() for state in record.states]
+    force = np.array([rest.specific_force for rest in rests]).reshape(-1, 3)
     t = np.array([0.5 * (rest.t_start + rest.t_end) for rest in rests])
     return Drivers(
         celsius=np.array([np.nan if rest.temperature is None else rest.temperature for rest in rests]),
         charged=np.array([rest.charged for rest in rests]),
         age=None if started is None else t - started,
-        reading=np.array([rest.specific_force for rest in rests]),
+        force=None if record.accelerometer is None else record.accelerometer.model.apply(force),
+        reading=force,
     )
 
 
@@ -219,12 +221,23 @@ def _require_drivers(record: CalibrationRecord, term: Term, started: float | Non
         raise NotSupported(f"the calibration's rests do not say {correction.driver}", [correction.remedy])
 
 
+def _is_held(record: CalibrationRecord, term: Term, started: float | None) -> bool:
+    """Tell whether a calibration holds a part of a term that its rests tell."""
+    force = term.sensor is Sensor.ACCELEROMETER
+    part = record.accelerometer if force else record.gyroscope
+    measured = part is not None and (force or any(state.rate is not None for state in record.states))
+    return CORRECTIONS[term.effect].refits and measured and bool(_known(record, [term], started).any())
+
+
 def _known(record: CalibrationRecord, terms: Iterable[Term], started: float | None) -> NDArray[np.bool_]:
     """Tell at which rests (n,) of a calibration all that terms follow is known."""
     at, known = _at_states(record, started), np.ones(len(record.states), dtype=bool)
     for term in terms:
-        offset = CORRECTIONS[term.effect].offset(term, at)
+        correction = CORRECTIONS[term.effect]
+        offset = correction.offset(term, at)
         known &= offset is not None and np.isfinite(offset).all(axis=1)
+        if at.celsius is not None and "temperature" in correction.references:
+            known &= np.isfinite(at.celsius)
     return known
 
 

@@ -60,10 +60,11 @@ class Correction:
     much the temperatures of the calibration differ (`temperature_sd`, K), for where one is unknown.
     of_reading: whether it follows what the sensor itself reads; else it is a bias. has_forecast: whether the
     forecast of the bias states how uncertain it is. refits: whether a calibration that takes it up is fitted
-    anew to its own rests, because its bias and scale hold a part of it. in_turns: whether the scale that was
-    fitted to turns does. by_charger: whether it follows the charger. by_start: whether it follows the time
-    since the sensors were switched on. driver: what it follows, in words, and remedy: what a calibration
-    needs whose rests do not tell it.
+    anew to its own rests, because its bias and scale hold a part of it. without_rests: whether it may be
+    taken up, without that, where the rests do not tell what it follows; the bias then holds about its mean.
+    in_turns: whether the scale that was fitted to turns holds a part. by_charger: whether it follows the
+    charger. by_start: whether it follows the time since the sensors were switched on. driver: what it
+    follows, in words, and remedy: what a calibration needs whose rests do not tell it.
     """
 
     effect: str
@@ -74,6 +75,7 @@ class Correction:
     of_reading: ClassVar[bool] = False
     has_forecast: ClassVar[bool] = False
     refits: ClassVar[bool] = False
+    without_rests: ClassVar[bool] = False
     in_turns: bool = False
     by_charger: ClassVar[bool] = False
     by_start: ClassVar[bool] = False

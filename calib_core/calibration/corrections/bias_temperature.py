@@ -72,6 +72,8 @@ class BiasTemperature(Correction):
 
     references = ("temperature",)
     has_forecast = True
+    refits = True
+    without_rests = True
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor, self.effect = sensor, f"{PREFIX[sensor]}_bias_temperature"

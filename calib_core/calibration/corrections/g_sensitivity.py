@@ -15,6 +15,8 @@ class GSensitivity(Correction):
 
     effect = "gyro_g_sensitivity"
     sensor = Sensor.GYROSCOPE
+    refits = True
+    without_rests = True
     parameters = (Parameter("matrix", "(rad/s)/(m/s^2)", 0.1, (3, 3)),)
 
     def offset(self, term: Term, at: Drivers) -> Array | None:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from msgspec.structs import replace as replaced
 
 from stillcal.calib_core.accelerometer.parameters import basis, inverse, names
 from stillcal.calib_core.arrays import Array, frozen
@@ -408,6 +409,28 @@ def test_the_stated_uncertainty_after_an_adoption_is_that_of_the_new_fit(effect:
         part = new.accelerometer if sensor is ACCEL else new.gyroscope
         errors.append((part.bias - sure - settled) / part.bias_uncertainty)
     assert 0.4 < rms(np.array(errors)) < 1.2
+
+
+RATE_SLOPE, BY_FORCE = 3e-4 * ANY, np.diag(1e-4 * ANY)
+
+
+@pytest.mark.parametrize("effect", ["gyro_bias_temperature", "gyro_g_sensitivity"])
+def test_a_bias_that_held_a_part_of_temperature_or_force_is_measured_anew(effect: str) -> None:
+    """Rests lie on few sides, and are seldom warm: the mean of their rates is not the bias."""
+    by_temperature = effect.endswith("temperature")
+    name, value = ("slope", RATE_SLOPE) if by_temperature else ("matrix", BY_FORCE)
+    rests = []
+    for held in pool("", 1).held:
+        warmer, up = held.rest.temperature - 30.0, SCALE * (held.rest.specific_force - BIAS)
+        if up[2] > 0.0 or warmer > 4.0:
+            error = warmer * RATE_SLOPE if by_temperature else BY_FORCE @ up
+            rests.append(HeldRest(replaced(held.rest, rate=frozen(held.rest.rate + error)), held.gravity))
+    known = fit_candidate(Pool(tuple(rests)), rests[0].gravity, N * STEP_S, CalibrateSettings()).record
+    told = {"effect": effect, "parameters": {name: {"value": value.tolist(), "unit": ""}}}
+    (term,), new = (after := with_terms(known, [told])).terms, after.gyroscope
+    truth = RATE_BIAS + (term.reference["temperature"] - 30.0) * RATE_SLOPE if by_temperature else RATE_BIAS
+    assert np.abs(new.bias - truth).max() < 2 * RATE_SD
+    assert (new.bias_uncertainty < 0.1 * known.gyroscope.bias_uncertainty).all()
 
 
 def test_the_rotation_of_all_axes_keeps_its_uncertainty() -> None:
