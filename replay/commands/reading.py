@@ -71,8 +71,10 @@ class Reading:
 
     def rests(self, trace: Path) -> list[RestState]:
         """Read a rest table. Raises TraceError."""
-        if self.sensor is not None or self.start is not None or self.stop is not None:
-            raise click.UsageError("--sensor, --from and --to choose samples, which a rest table has not")
+        if any(given is not None for given in (self.sensor, self.start, self.stop, self.gyro)):
+            raise click.UsageError(
+                "--sensor, --gyro, --from and --to are for samples, which a rest table has not"
+            )
         return kept_rests(trace) if is_daemon_state(trace) else read_rest_table(self.kept(trace))
 
 

@@ -89,15 +89,32 @@ def open_log(path: Path | str | Source, format: Format = None, gyro: Path | None
     found = path if isinstance(path, Source) else kept(path)
     column_map = format if format is None or isinstance(format, ColumnMap) else load_map(format)
     if isinstance(found, Path) and found.is_dir():
+        _refuse_gyro(gyro, found, "a folder")
         if (found / FOLDER_INDEX).is_file():
             return open_ros_folder(found)
         log = sample_folder(found) if column_map is None else None
         return log or _archive(found, members_of_folder(found), column_map)
     source = found if isinstance(found, Source) else source_of(found)
-    log = _log(source, column_map, None if gyro is None else source_of(gyro))
+    kind = magic.kind_of(source)
+    if kind not in _TABLES:
+        _refuse_gyro(gyro, source.path, kind)
+    other = None if gyro is None else source_of(gyro)
+    if other is not None and source.path.exists() and other.path.resolve() == source.path.resolve():
+        raise TraceError(
+            other.path, "is the recording itself", "leave --gyro out where it holds both sensors"
+        )
+    log = _log(source, column_map, other)
     return (
         replace(log, notes=[f"{short_name(source.path)}: {source.said}", *log.notes]) if source.said else log
     )
+
+
+def _refuse_gyro(gyro: Path | None, path: Path, kind: str) -> None:
+    """Raise TraceError where a gyroscope's own file is given for what holds all its sensors itself."""
+    if gyro is not None:
+        raise TraceError(
+            path, f"is {kind}, which no gyroscope's file of its own goes with", "leave --gyro out"
+        )
 
 
 def is_rest_table(found: Path | Source, format: Format = None) -> bool:

@@ -49,7 +49,7 @@ def lay_out(table: Table, column_map: ColumnMap, sensors: Sequence[Sensor]) -> L
         if places is not None:
             axes[sensor] = slice(len(places_to_read), len(places_to_read) + 3)
             places_to_read.extend(places)
-        elif not _may_be_missing(table, column_map, sensor):
+        elif len(sensors) == 1 or not _may_be_missing(table, column_map, sensor):
             raise missing(table, sensor_map.columns)
     return Layout(places_to_read, time, fraction, arrival, temperature, axes)
 

@@ -16,6 +16,7 @@ from tests.support.log_files import (
     DATA,
     as_folder,
     as_zip,
+    npz,
     phyphox_files,
     ros1_bag,
     sensor_logger_files,
@@ -201,6 +202,24 @@ def test_a_gyroscopes_file_without_rows_beside_a_file_is_said(tmp_path: Path) ->
     assert any("gyr.csv: holds a header and no samples" in note for note in recording.notes)
     with pytest.raises(TraceError, match=r"gyr.csv:1: the file holds a header only"):
         read_all(folder / "acc.csv", gyro=folder / "gyr.csv")
+
+
+@pytest.mark.parametrize("held", ["npz", "folder", "zip", "itself", "no rates"])
+def test_a_gyroscopes_file_that_cannot_be_one_is_refused_and_not_passed_over(
+    tmp_path: Path, held: str
+) -> None:
+    own = tmp_path / "walk.csv"
+    own.write_text(force("t,ax,ay,az"))
+    (tmp_path / "other.csv").write_text(force("t,ax,ay,az"))
+    gyro = own if held == "itself" else tmp_path / "other.csv"
+    made = {
+        "npz": lambda: npz(tmp_path),
+        "folder": lambda: as_folder(_folder(tmp_path), phyphox_files()),
+        "zip": lambda: as_zip(_folder(tmp_path), phyphox_files()),
+    }
+    what = {"itself": "is the recording itself", "no rates": "no column 'gx', 'gy', 'gz'"}
+    with pytest.raises(TraceError, match=what.get(held, "no gyroscope's file of its own goes with")):
+        read_all(made.get(held, lambda: own)(), gyro=gyro)
 
 
 GROUPS = [
