@@ -31,7 +31,7 @@ from stillcal.calib_core.temperature.thermometer import Thermometer
 NO_READINGS = Thermometer()
 NO_CHARGER = Charger()
 
-_ROUNDS = 6
+ROUNDS = 6
 """Times that a reading is corrected by what its own corrected value gives: an error of a part in ten is left
 at a part in a million."""
 
@@ -147,7 +147,7 @@ def offsets(record: CalibrationRecord, sensor: Sensor, at: Drivers) -> Array:
         return bias
     reading = at.raw - _bias(record, sensor) - bias
     own = np.zeros(3)
-    for _ in range(_ROUNDS):
+    for _ in range(ROUNDS):
         own = _sum(of_reading, replace(at, reading=reading - own))
     return bias + own
 

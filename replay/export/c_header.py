@@ -10,6 +10,9 @@ import math
 from collections.abc import Sequence
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.corrections.term import Term
+from stillcal.calib_core.calibration.terms import ROUNDS
+from stillcal.replay.export import of_reading
 from stillcal.replay.export.imu import CORRECTION, ImuParameters, SensorPart
 from stillcal.replay.export.target import Target, commented
 
@@ -24,7 +27,7 @@ class CHeader(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return all that a correction uses."""
-        return imu.named(*CORRECTION)
+        return imu.named(*CORRECTION) | imu.of_reading()
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
         """Return the header."""
@@ -45,6 +48,8 @@ def _constants(name: str, part: SensorPart) -> str:
     for suffix, value in (("bias", part.bias), *((f"bias_{key}", value) for key, value in curve)):
         if value is not None:
             text += f"static const double {name}_{suffix}[3] = {{{_row(value)}}};\n"
+    for constant, value in of_reading.constants(part.terms).items():
+        text += f"static const double {constant}[3] = {{{_row(value)}}};\n"
     if part.reference_c is not None:
         text += f"static const double {name}_reference_temperature_c = {part.reference_c!r};\n"
     return text
@@ -65,6 +70,22 @@ def _function(imu: ImuParameters) -> str:
         if part is not None:
             text += _correction(argument, name, part)
     return text + "}\n"
+
+
+def _own(terms: Sequence[Term]) -> str:
+    """Return the lines that take off what a reading itself adds, solved for by rounds."""
+    if not terms:
+        return ""
+    start, reach = of_reading.counts_from(terms), of_reading.reach(terms)
+    text = "    double own = 0.0;\n"
+    if start is not None:
+        text += f"    double warmer = isnan(temperature) ? 0.0 : temperature - {start!r};\n"
+    text += (
+        f"    for (int k = 0; k < {ROUNDS}; k++) {{\n      double x = unbiased[i] - own;\n      (void)x;\n"
+    )
+    if reach is not None:
+        text += f"      double held = fmin(fmax(x, {-reach!r}), {reach!r});\n"
+    return text + f"      own = {of_reading.error(terms, '[i]')};\n    }}\n    unbiased[i] -= own;\n"
 
 
 def _named(imu: ImuParameters) -> list[tuple[str, SensorPart | None]]:
@@ -92,7 +113,7 @@ def _correction(argument: str, name: str, part: SensorPart) -> str:
         )
     if part.matrix is not None:
         text += f"    for (int j = 0; j < 3; j++) offset[i] += {name}_g_sensitivity[i][j] * force[j];\n"
-    text += f"    unbiased[i] = {argument}[i] - offset[i];\n  }}\n"
+    text += f"    unbiased[i] = {argument}[i] - offset[i];\n{_own(part.terms)}  }}\n"
     text += f"  for (int i = 0; i < 3; i++) {{\n    {argument}[i] = unbiased[i];\n"
     if part.scale is not None:
         text += f"    {argument}[i] = 0.0;\n    for (int j = 0; j < 3; j++)"

@@ -1,8 +1,9 @@
 """What is known of an inertial sensor, independent of any file format: the input and output of every target.
 
-The model is the store's: calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force), in SI units
-and the axes of the recording (Android's: x right, y up, z out of the screen). A field that is None is not
-known; a target that does not hold it leaves it so when it is read back.
+The model is the store's: calibrated = scale @ (raw - bias - slope (T - T_ref) - matrix @ force), less what
+terms add that follow the reading itself, in SI units and the axes of the recording (Android's: x right, y up,
+z out of the screen). A field that is None is not known; a target that does not hold it leaves it so when it
+is read back.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.export.of_reading import is_of_reading
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.settings import SensorSettings, per_axis
 
@@ -101,7 +103,8 @@ class SensorPart:
 
     slope, quadratic, cubic: (3,) bias per K, K^2 and K^3 from reference_c. limits: degC, beyond which the
     curve stays as it is, None where it goes on. matrix: (3, 3) (rad/s)/(m/s^2), the gyroscope's only: its
-    reading per true force. by_axis: whether the file holds of the scale what is on its diagonal only.
+    reading per true force. terms: those that follow what an axis reads (of_reading.py). by_axis: whether the
+    file holds of the scale what is on its diagonal only.
     """
 
     scale: Array | None = None
@@ -112,6 +115,7 @@ class SensorPart:
     reference_c: float | None = None
     limits: tuple[float, float] | None = None
     matrix: Array | None = None
+    terms: tuple[Term, ...] = ()
     noise: SensorNoise | None = None
     by_axis: bool = False
 
@@ -175,6 +179,10 @@ class ImuParameters:
         """Return the facts of these kinds for each sensor that is there, such as "gyroscope bias"."""
         return {f"{name} {kind}" for name, _ in self.parts() for kind in kinds}
 
+    def of_reading(self) -> set[str]:
+        """Return the facts that are terms which follow what an axis reads."""
+        return {term.effect for _, part in self.parts() for term in part.terms}
+
     @property
     def rate_hz(self) -> float | None:
         """The sample rate, Hz, where noise is known."""
@@ -218,6 +226,8 @@ def _of_sensor(record: CalibrationRecord, stored: SensorRecord, sensor: Sensor) 
             part = replace(part, **_curve(term))
         elif term.sensor == sensor and term.effect == _BY_FORCE:
             part = replace(part, matrix=np.asarray(term.parameters["matrix"].value))
+        elif term.sensor == sensor and is_of_reading(term):
+            part = replace(part, terms=(*part.terms, term))
     return part
 
 
@@ -229,11 +239,17 @@ def _other(record: CalibrationRecord) -> Iterator[tuple[str, str]]:
     for sensor in record.forecast:
         yield f"{sensor} forecast", "how uncertain its bias is at other times and temperatures"
     for term in record.terms:
-        if not term.effect.endswith((_BIAS_CURVE, _BY_FORCE)):
-            yield (
-                f"{term.effect}",
-                ", ".join(f"{k} {numbers(p.value)} {p.unit}" for k, p in term.parameters.items()),
-            )
+        if not has_place(term):
+            yield term.effect, _words(term)
+
+
+def has_place(term: Term) -> bool:
+    """Tell whether some target holds a term; what no target holds is named by all of them."""
+    return term.effect.endswith((_BIAS_CURVE, _BY_FORCE)) or is_of_reading(term)
+
+
+def _words(term: Term) -> str:
+    return ", ".join(f"{k} {numbers(p.value)} {p.unit}" for k, p in term.parameters.items())
 
 
 def _curve(term: Term) -> dict[str, Any]:
@@ -277,6 +293,7 @@ def facts(imu: ImuParameters) -> dict[str, str]:
             out[f"{name} bias curve"] = f"{bends} from {part.reference_c!r} degC"
         if part.matrix is not None:
             out[f"{name} g-sensitivity"] = f"{numbers(part.matrix)} (rad/s)/(m/s^2)"
+        out |= {term.effect: _words(term) for term in part.terms}
         out |= _noise_facts(name, part.noise, unit)
     if imu.delay_s is not None:
         out["gyroscope delay"] = f"{imu.delay_s!r} s"

@@ -16,7 +16,10 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.corrections.term import Term
+from stillcal.calib_core.calibration.terms import ROUNDS
 from stillcal.calib_core.errors import UserError
+from stillcal.replay.export import of_reading
 from stillcal.replay.export.imu import CORRECTION, ImuParameters, SensorPart
 from stillcal.replay.export.target import Target, commented, finite
 
@@ -107,12 +110,13 @@ class Python(Target):
 
     def holds(self, imu: ImuParameters) -> set[str]:
         """Return all that a correction uses."""
-        return imu.named(*CORRECTION)
+        return imu.named(*CORRECTION) | imu.of_reading()
 
     def write(self, imu: ImuParameters, remarks: Sequence[str]) -> bytes:
         """Return the module."""
         text = commented(remarks) + "import numpy as np\n\n"
-        for name, value in arrays(imu).items():
+        own = [term for _, part in imu.parts() for term in part.terms]
+        for name, value in (arrays(imu) | of_reading.constants(own)).items():
             if not name.endswith("density"):
                 text += (
                     f"{name} = np.array({value.tolist()!r})\n"
@@ -120,6 +124,23 @@ class Python(Target):
                     else f"{name} = {float(value)!r}\n"
                 )
         return (text + "\n\n" + _function(imu)).encode()
+
+
+def _own(argument: str, terms: Sequence[Term]) -> list[str]:
+    """Return the lines that take off what a reading itself adds, solved for by rounds."""
+    if not terms:
+        return []
+    start, reach = of_reading.counts_from(terms), of_reading.reach(terms)
+    warmer = f"0.0 if temperature is None else np.nan_to_num(temperature - {start!r})[:, None]"
+    return [
+        *([] if start is None else [f"warmer = {warmer}"]),
+        "own = 0.0",
+        f"for _ in range({ROUNDS}):",
+        f"    x = {argument} - own",
+        *([] if reach is None else [f"    held = np.clip(x, {-reach!r}, {reach!r})"]),
+        f"    own = {of_reading.error(terms)}",
+        f"{argument} = {argument} - own",
+    ]
 
 
 def _function(imu: ImuParameters) -> str:
@@ -151,7 +172,8 @@ def _function(imu: ImuParameters) -> str:
             ]
         if part.matrix is not None:
             body += ["if force is not None:", f"    offset = offset + force @ {name}_g_sensitivity.T"]
-        scaled = f" @ {name}_scale.T" if part.scale is not None else ""
-        body.append(f"{argument} = ({argument} - offset){scaled}")
+        body += [f"{argument} = {argument} - offset", *_own(argument, part.terms)]
+        if part.scale is not None:
+            body.append(f"{argument} = {argument} @ {name}_scale.T")
         lines += [f"    if {argument} is not None:", *(f"        {line}" for line in body)]
     return "\n".join([*lines, "    return force, rate"]) + "\n"

@@ -22,7 +22,10 @@ _MOST = {Sensor.ACCELEROMETER: (1e-2, 5e-4), Sensor.GYROSCOPE: (5e-2, 1e-2)}
 
 
 class Nonlinearity(Correction):
-    """Each axis gains quadratic x^2 + cubic x^3 of its own true input x."""
+    """Each axis gains quadratic x^2 + cubic x^3 of its own true input x.
+
+    reach: beyond this input the error stays as it is.
+    """
 
     of_reading = True
     refits = True
@@ -34,14 +37,14 @@ class Nonlinearity(Correction):
             Parameter(name, f"1/({UNIT[sensor]})^{power - 1}", most, required=power == 2)
             for (name, power), most in zip(_POWERS.items(), _MOST[sensor], strict=True)
         )
-        self._reach = _REACH[sensor]
+        self.reach = _REACH[sensor]
         self.in_turns = sensor is Sensor.GYROSCOPE
 
     def response(self, term: Term, at: Drivers) -> Mapping[str, Array] | None:
         """Return powers of the reading."""
         if at.reading is None:
             return None
-        known = np.clip(at.reading, -self._reach, self._reach)
+        known = np.clip(at.reading, -self.reach, self.reach)
         return {name: known**power for name, power in _POWERS.items() if name in term.parameters}
 
     def held_by_scale(self, term: Term, turn_powers: Array) -> Array:

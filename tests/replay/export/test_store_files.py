@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import runpy
+import shutil
+import subprocess
 from dataclasses import replace
 
 import numpy as np
@@ -83,6 +85,64 @@ def test_kalibr_has_the_noise_of_the_phone_where_kalibr_reads_it(path, tmp_path)
     # 100 ug/sqrt(Hz), one-sided (consumer.toml); kalibr's sigma sqrt(rate) is the two-sided one.
     assert document["accelerometer_noise_density"] == pytest.approx(100e-6 * 9.80665 / np.sqrt(2.0), rel=1e-6)
     assert document["imu0"]["gyroscope_random_walk"] == document["gyroscope_random_walk"] > 0.0
+
+
+def of_reading(nonlinear: bool, warm: bool) -> tuple[Term, ...]:
+    """Terms that follow what an axis reads, of both sensors, and a warm-up."""
+    out = []
+    for sensor, name, size in ((Sensor.ACCELEROMETER, "accel", 1e-3), (Sensor.GYROSCOPE, "gyro", 1e-2)):
+        axes = size * np.array([1.0, -0.8, 1.2])
+        bends = {
+            "quadratic": TermParameter(value=axes, unit=""),
+            "cubic": TermParameter(value=axes / 9, unit=""),
+        }
+        slope = {"slope": TermParameter(value=0.1 * axes, unit="1/K")}
+        reference = {"temperature": 24.0}
+        if nonlinear:
+            out.append(Term(effect=f"{name}_nonlinearity", sensor=sensor, parameters=bends))
+        if warm:
+            scaled = f"{name}_scale_temperature"
+            out.append(Term(effect=scaled, sensor=sensor, parameters=slope, reference=reference))
+    late = {
+        "amplitude": TermParameter(value=axes, unit=""),
+        "tau_s": TermParameter(value=np.array(60.0), unit="s"),
+    }
+    return (*out, Term(effect="gyro_warmup", sensor=Sensor.GYROSCOPE, parameters=late))
+
+
+@pytest.mark.parametrize(("nonlinear", "warm"), [(True, True), (True, False), (False, True)])
+def test_code_corrects_what_follows_the_reading_and_names_the_warm_up(
+    nonlinear, warm, path, tmp_path, make_record
+):
+    record = replace(make_record(1), terms=of_reading(nonlinear, warm))
+    Store(path).publish(record)
+    for tool, file in (("numpy", "fix.py"), ("c", "fix.h")):
+        said = run("export", path, "--to", tool, "--out", tmp_path / file).stderr
+        assert "cannot hold: " in said and "gyro_warmup" in said
+        assert not any(word in said for word in ("nonlinearity", "scale_temperature"))
+    assert "accel_nonlinearity" in run("export", path, "--to", "px4", "--out", "-").stderr or not nonlinear
+    rng = np.random.default_rng(2)
+    t, warmth = np.arange(20) / 50.0, rng.uniform(0.0, 50.0, 20)
+    force, rate = rng.normal(0.0, 12.0, (20, 3)), rng.normal(0.0, 4.0, (20, 3))
+    accel = Samples.checked(Sensor.ACCELEROMETER, t, force, warmth)
+    wanted = correct_both(record, accel, Samples.checked(Sensor.GYROSCOPE, t, rate, warmth))
+    made = runpy.run_path(str(tmp_path / "fix.py"))["correct"](t, warmth, force, rate)
+    np.testing.assert_allclose(made, [wanted[0].xyz, wanted[1].xyz], rtol=0.0, atol=1e-11)
+    rows = np.column_stack([warmth, force, rate])
+    lines = "".join("{" + ", ".join(map(repr, row)) + "},\n" for row in rows.tolist())
+    (tmp_path / "main.c").write_text(
+        '#include <stdio.h>\n#include "fix.h"\n'
+        f"double rows[20][7] = {{\n{lines}}};\nint main(void) {{\n"
+        "  for (int n = 0; n < 20; n++) {\n    stillcal_correct(rows[n][0], rows[n] + 1, rows[n] + 4);\n"
+        '    for (int i = 1; i < 7; i++) printf("%.17g ", rows[n][i]);\n  }\n  return 0;\n}\n'
+    )
+    if shutil.which("cc") is None:
+        return
+    compiler = ["cc", "-std=c99", "-Wall", "-Wextra", "-Werror", "-o", "main", "main.c", "-lm"]
+    subprocess.run(compiler, cwd=tmp_path, check=True)
+    out = subprocess.run([str(tmp_path / "main")], check=True, capture_output=True, text=True).stdout
+    held = np.reshape([float(x) for x in out.split()], (20, 6))
+    np.testing.assert_allclose(held, np.hstack([wanted[0].xyz, wanted[1].xyz]), rtol=0.0, atol=1e-11)
 
 
 def test_the_python_module_corrects_as_the_store_does(path, tmp_path, make_record):
