@@ -245,7 +245,12 @@ def _other(record: CalibrationRecord) -> Iterator[tuple[str, str]]:
 
 def has_place(term: Term) -> bool:
     """Tell whether some target holds a term; what no target holds is named by all of them."""
-    return term.effect.endswith((_BIAS_CURVE, _BY_FORCE)) or is_of_reading(term)
+    return can_be_read(term) or is_of_reading(term)
+
+
+def can_be_read(term: Term) -> bool:
+    """Tell whether a term comes back from some target's file."""
+    return term.effect.endswith((_BIAS_CURVE, _BY_FORCE))
 
 
 def _words(term: Term) -> str:

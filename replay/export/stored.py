@@ -20,7 +20,7 @@ from stillcal.calib_core.calibration.record import (
 )
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.export.imu import ImuParameters, SensorPart, of_record
+from stillcal.replay.export.imu import ImuParameters, SensorPart, can_be_read, of_record
 
 CURVE = ("slope", "quadratic", "cubic", "reference_c", "limits")
 SAME_BIAS = 1e-9
@@ -39,7 +39,8 @@ def record_of(imu: ImuParameters, before: CalibrationRecord | None, source: str)
     old = ImuParameters() if before is None else of_record(before)
     accel = _merged(imu.accelerometer, old.accelerometer)
     gyro = _merged(imu.gyroscope, old.gyroscope)
-    terms = [*_terms(accel, Sensor.ACCELEROMETER), *_terms(gyro, Sensor.GYROSCOPE)]
+    kept, _ = _beyond_files(imu, before)
+    terms = [*_terms(accel, Sensor.ACCELEROMETER), *_terms(gyro, Sensor.GYROSCOPE), *kept]
     gravity = STANDARD
     if before is not None and before.accelerometer is not None:
         gravity = before.accelerometer.gravity
@@ -71,7 +72,38 @@ def not_in_file(imu: ImuParameters, before: CalibrationRecord | None) -> list[st
             out.extend(f"{name} {line}" for line in _of_curve(part, default))
         if part is None and default is not None:
             out.append(f"{name}: the store keeps its own")
+    staying, dropped = _beyond_files(imu, before)
+    out += [f"{term.effect}: the store keeps its own" for term in staying]
+    out += [f"{term.effect}: the store's own is dropped, as {_OF_ANOTHER}" for term in dropped]
     return out
+
+
+_OF_ANOTHER = "the new bias and scale were fitted without it ('stillcal store rollback' undoes the import)"
+
+
+def _beyond_files(imu: ImuParameters, before: CalibrationRecord | None) -> tuple[list[Term], list[Term]]:
+    """Return those terms of the store that no file can give back: which are kept, and which are dropped.
+
+    They belong to the bias and the scale that were fitted with them, and are kept where these stay.
+    """
+    kept: list[Term] = []
+    dropped: list[Term] = []
+    if before is None:
+        return kept, dropped
+    old = of_record(before)
+    for term in before.terms:
+        name = "accelerometer" if term.sensor == Sensor.ACCELEROMETER else "gyroscope"
+        own: SensorPart | None = getattr(old, name)
+        after = _merged(getattr(imu, name), own)
+        if not can_be_read(term):
+            (kept if own is None or after is None or _is_same(after, own) else dropped).append(term)
+    return kept, dropped
+
+
+def _is_same(one: SensorPart, other: SensorPart) -> bool:
+    """Tell whether two parts have the same bias and scale."""
+    pairs = ((one.offset, other.offset), (one.gain, other.gain))
+    return all(np.allclose(a, b, rtol=0.0, atol=SAME_BIAS) for a, b in pairs)
 
 
 def _of_curve(part: SensorPart, old: SensorPart) -> Iterator[str]:

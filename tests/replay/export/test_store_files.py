@@ -145,6 +145,21 @@ def test_code_corrects_what_follows_the_reading_and_names_the_warm_up(
     np.testing.assert_allclose(held, np.hstack([wanted[0].xyz, wanted[1].xyz]), rtol=0.0, atol=1e-11)
 
 
+def test_an_import_keeps_terms_with_their_bias_and_scale_and_says_which_it_drops(path, tmp_path, make_record):
+    record = replace(make_record(1), terms=of_reading(True, True))
+    Store(path).publish(record)
+    out = tmp_path / "store.npz"
+    run("export", path, "--to", "npz", "--out", out)
+    said = run("import", path, "--from", "npz", "--in", out).stderr
+    assert said.count("the store keeps its own") == 5 and "gyro_warmup: the store keeps its own" in said
+    assert {t.effect for t in Store(path).load().current.terms} == {t.effect for t in record.terms}
+    values = dict(np.load(out)) | {"gyroscope_bias": record.gyroscope.bias + 1e-3}
+    np.savez(out, **values)
+    said = run("import", path, "--from", "npz", "--in", out).stderr
+    assert "gyro_warmup: the store's own is dropped, as the new bias and scale were fitted without it" in said
+    assert {t.effect[:5] for t in Store(path).load().current.terms} == {"accel"}
+
+
 def test_the_python_module_corrects_as_the_store_does(path, tmp_path, make_record):
     record = make_record(1)
     slope = TermParameter(value=np.array([1e-4, -2e-4, 3e-4]), unit="rad/s/K")
