@@ -8,16 +8,16 @@ READY := $(VENV)/.ready
 WORKERS := $(shell echo $$(( $$(getconf _NPROCESSORS_ONLN || echo 2) + 1 )))
 PYTEST := $(BIN)/python -m pytest -q --numprocesses $(WORKERS) --maxprocesses 5 --dist worksteal
 
-.PHONY: run test test-fast mutants check faults fuzz week year evaluate bench clean
+.PHONY: run test test-all mutants check faults fuzz week year evaluate bench clean
 
 run: $(READY)
 	$(BIN)/python -m stillcal.replay.trials.demo.tour
 
 test: $(READY)
-	$(PYTEST)
-
-test-fast: $(READY)
 	$(PYTEST) -m 'not slow'
+
+test-all: $(READY)
+	$(PYTEST)
 
 mutants: $(READY)
 	$(BIN)/python -m pip install --quiet --editable '.[mutation]'

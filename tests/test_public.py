@@ -162,6 +162,7 @@ def test_a_simulated_phone_from_end_to_end() -> None:
     assert stillcal.diagnose(recording).verdict == "match"
 
 
+@pytest.mark.slow
 def test_python_and_the_commands_give_the_same_numbers(
     sample: stillcal.Recording,
     calibration: stillcal.Calibration,
@@ -311,6 +312,7 @@ def test_results_show_themselves(
     assert "<b>" not in html
 
 
+@pytest.mark.slow
 def test_a_phone_and_a_simulation_can_be_given(sample: stillcal.Recording) -> None:
     """The phone that made the sample has the effect; another recording of it does not differ."""
     own = stillcal.diagnose(sample, phone=SAMPLES / "lab.phone.toml")
@@ -339,6 +341,7 @@ def test_what_excludes_each_other_is_refused(given: dict[str, Any], why: str) ->
         stillcal.diagnose("sample:lab", **given)
 
 
+@pytest.mark.slow
 def test_a_paired_simulation_can_be_given_that_differs_by_a_number_alone() -> None:
     sample = stillcal.load("sample:lab", stop=150.0)
     force = sample.accelerometer

@@ -59,6 +59,7 @@ def test_one_fault_is_named_and_measured(
     np.testing.assert_allclose(value, truth, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_two_faults_are_both_named() -> None:
     matrix = [[2e-4, 0.0, 0.0], [0.0, 0.0, 2e-4], [0.0, 0.0, 0.0]]
     answer = diagnosed(

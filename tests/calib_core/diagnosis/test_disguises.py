@@ -27,6 +27,7 @@ def across(rng: np.random.Generator, up: np.ndarray) -> np.ndarray:
     return np.asarray(drawn / np.linalg.norm(drawn))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_the_earth_turns_and_the_gyroscope_is_sound(seed: int) -> None:
     rng, day = day_of(seed)

@@ -71,6 +71,7 @@ def test_the_rate_of_tilt_is_read_from_gravity() -> None:
     assert np.linalg.norm(seen - across, axis=1)[fast] == pytest.approx(0.0, abs=2.5e-4)
 
 
+@pytest.mark.slow
 def test_a_phone_that_sinks_into_foam_has_no_faulty_sensor() -> None:
     for seed in (2, 3):
         assert [f.effect for f in diagnose(*on_foam(seed)).findings] == []

@@ -95,6 +95,7 @@ def failing(engine: Engine, lab: object, rounds: int) -> list[object]:
     return actions
 
 
+@pytest.mark.slow
 def test_when_calibrating_does_not_help_a_diagnosis_is_asked_for_once(lab: Samples) -> None:
     engine = Engine(QUICK)
     engine.feed(lab.gyroscope, lab.accelerometer)

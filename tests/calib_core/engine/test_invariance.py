@@ -183,6 +183,7 @@ def test_streamed_equals_unbroken_to_the_last_bit(name: str, pieces: list) -> No
     assert fed_in_pieces(name, pieces).whole == unbroken(name)
 
 
+@pytest.mark.slow
 def test_how_a_file_is_cut_changes_nothing_of_what_is_learnt_of_temperature_and_charging() -> None:
     """Rests of an hour and a half of a phone that warms: an hour of readings tells how warm sensors are.
 

@@ -92,6 +92,7 @@ FAILURES: dict[str, tuple[Callable[[Samples, Samples], list[Samples]], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failure", FAILURES)
 def test_a_sensor_that_fails_is_told_once_and_again_when_it_works(failure: str) -> None:
     engine, t = calibrated(WATCHED)

@@ -46,6 +46,7 @@ def coverage(seeds: range, n: int, **changes: object) -> tuple[float, float]:
     return float(np.mean(inside)), float(np.mean(bias_inside))
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     """80 phones, 720 scale elements, 240 biases: two standard errors are 0.016 and 0.028 about 0.95."""
     scale, bias = coverage(range(100, 180), n=16)
@@ -53,6 +54,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     assert 0.91 <= bias <= 0.99
 
 
+@pytest.mark.slow
 def test_intervals_hold_with_g_sensitivity_and_wandering_bias() -> None:
     """60 phones whose bias follows force (0.1 deg/s per g) and walks 2e-4 rad/s from rest to rest."""
     sensitivity = np.random.default_rng(7).normal(size=(3, 3)) * 1.8e-4

@@ -56,6 +56,7 @@ def fed_in_pieces(b, cuts, rng, knobs):
 
 
 # The fixture is a pure function: sharing it between examples shares nothing.
+@pytest.mark.slow
 @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     seed=st.integers(0, 2**32),

@@ -213,6 +213,7 @@ def test_a_folder_that_is_not_there_is_said(tmp_path: Path) -> None:
         writer(tmp_path / "none" / "live.mcap").open()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGKILL])
 def test_a_daemon_that_ends_or_is_killed_leaves_a_file_that_is_read(
     end: signal.Signals, folder: Path, make_record: Any, lab: list[Any]

@@ -76,6 +76,7 @@ def night(folder: Path, lab: list[Any], monkeypatch: pytest.MonkeyPatch, text: s
     return answers
 
 
+@pytest.mark.slow
 def test_at_night_it_finds_what_its_rests_show_and_puts_it_on_trial(
     folder: Path, lab: list[Any], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

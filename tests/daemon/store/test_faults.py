@@ -53,6 +53,7 @@ def in_child(action) -> tuple[int, int]:
     return os.waitstatus_to_exitcode(status), (reported or [0])[-1]
 
 
+@pytest.mark.slow
 def test_killed_at_random_moments_it_is_whole_and_has_all_that_was_acknowledged(path, make_record):
     """Kill -9 while saves follow one another: nothing torn, nothing acknowledged lost."""
     chance = random.Random(20260101)

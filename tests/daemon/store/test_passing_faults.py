@@ -68,6 +68,7 @@ def test_every_call_of_opening_may_fail_once_and_nothing_is_lost(path: Path, err
     assert loaded.state is not None and not loaded.note
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [errno.EIO, errno.EMFILE], ids=errno.errorcode.get)
 def test_every_call_of_saving_may_fail_once_and_nothing_is_lost(tmp_path: Path, error: int) -> None:
     found = surviving(error, tmp_path)

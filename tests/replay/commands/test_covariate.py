@@ -105,6 +105,7 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     assert noise_of(gyro).slow_deviation().max() < 0.1 * SLOPE * VOLTS
 
 
+@pytest.mark.slow
 def test_python_takes_the_column_as_values_or_with_times_of_its_own(log: Path) -> None:
     (read,) = read_covariates(open_trace(log), ["battery_v"]).values()
     recording = stillcal.load(log)
@@ -153,6 +154,7 @@ def recorded(log: Path) -> Examination:
     return examined_with(log)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("part", "column", "relation"),
     [(0.4, True, "too_small"), (0.0, True, "lacking"), (0.0, False, "lacking")],
@@ -178,6 +180,7 @@ def test_a_simulation_is_told_how_much_of_the_effect_it_lacks(
     assert one.difference.recorded.reference["battery_v"] == pytest.approx(3.8, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> None:
     """The column says the same of the bias as temperature does: an alternative, and no other explanation."""
     rng = np.random.default_rng(20)

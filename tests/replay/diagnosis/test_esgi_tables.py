@@ -14,6 +14,7 @@ from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
 from stillcal.replay.formats.rest_table import read_rest_table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [1, 2, 3])
 def test_a_published_table_is_diagnosed(number: int) -> None:
     with as_file(files("stillcal.config") / "esgi" / f"dataset{number}.csv") as path:

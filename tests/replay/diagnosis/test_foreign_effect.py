@@ -79,6 +79,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_class_of_another_package_is_found_reported_and_written_back(
     tmp_path: Path, recording: Path
 ) -> None:

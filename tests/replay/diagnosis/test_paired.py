@@ -112,6 +112,7 @@ def test_the_earths_rotation_that_a_simulation_leaves_out_is_no_effect_of_the_gy
     assert said["findings"] == [] and said["verdict"] == "match"
 
 
+@pytest.mark.slow
 def test_a_scale_is_that_of_the_correction_however_large() -> None:
     """A sensor that reads 5 % too much is corrected by 1 / 1.05, which is not 5 % less."""
     real, sim = recording(1, noise=0.05), recording(2, noise=0.05, name="sim.csv")
@@ -125,6 +126,7 @@ def test_a_scale_is_that_of_the_correction_however_large() -> None:
     np.testing.assert_allclose(found["difference"]["scale"]["value"], truth, atol=3e-4)
 
 
+@pytest.mark.slow
 def test_what_fits_no_model_in_motion_is_no_bias_and_no_scale() -> None:
     """The gyroscope takes up force that only motion has; at rest, three quarters of the time, nothing is."""
 
@@ -148,6 +150,7 @@ def warmed(made: Recording, name: str, slope: float, scale: float = 0.0) -> Reco
     return replace(made, accelerometer=changed, name=name)
 
 
+@pytest.mark.slow
 def test_a_simulation_that_has_more_of_an_effect_does_not_lack_it() -> None:
     """By its own rests it has twice the slope, and a scale that the recording has nothing of."""
     recorded, simulated = 0.01, 0.02
@@ -251,6 +254,7 @@ def test_a_delay_a_filter_and_a_limit_are_found_put_in_and_gone(
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
 
 
+@pytest.mark.slow
 def test_a_delay_of_the_simulation_alone_is_its_own() -> None:
     """Its own turns show it, so it is to be taken out, and nothing is to be added to make it good."""
     sim = with_rate(turned(2), lambda rate: read_later(rate, 0.03))

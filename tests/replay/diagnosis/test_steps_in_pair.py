@@ -56,6 +56,7 @@ def judged(real: Recording, sim: Recording, effect: Effect, grids: Sequence[Grid
     return sorted(found.discrepancies, key=lambda d: d.where.t_start)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recorded", "simulated", "relations"),
     [

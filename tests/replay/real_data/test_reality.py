@@ -75,6 +75,7 @@ def test_the_thermometers_curve_is_in_the_sensors(data_dir: Path) -> None:
     assert without_thermometer(still.recording).accelerometer.temperature is None
 
 
+@pytest.mark.slow
 def test_a_row_says_what_the_halves_say(data_dir: Path) -> None:
     source = next(sources(data_dir, "broad"))
     told = row(source)

@@ -200,6 +200,7 @@ def test_command_writes_the_page_and_runs_again(tmp_path: Path) -> None:
     assert (tmp_path / "evaluation" / "laboratory.json").is_file()
 
 
+@pytest.mark.slow
 def test_two_processes_write_the_page_that_one_writes(tmp_path: Path) -> None:
     pages = []
     for jobs in ("1", "2"):

@@ -75,6 +75,7 @@ def faultless(held: list[HeldRest], model: SensorModel, rng: np.random.Generator
     ]
 
 
+@pytest.mark.slow
 def test_imu_tk_held_out(data_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Rests held out are foretold as well as 40 rests in 16 attitudes allow.
 

@@ -38,6 +38,7 @@ def test_everything_public_is_on_the_page() -> None:
     assert set(PUBLIC) == set(api.__all__)
 
 
+@pytest.mark.slow
 def test_the_example_finds_the_bias(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sample's true errors lie beside it; what stays of the bias is a few thousandths of it."""
     monkeypatch.chdir(tmp_path)

@@ -74,6 +74,7 @@ def daemon_of(process: Forked) -> int:
     return int(child)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_interrupted_it_leaves_no_daemon_behind(tmp_path: Path, number: signal.Signals) -> None:
     with started(tmp_path / "out") as process:

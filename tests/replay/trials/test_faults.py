@@ -53,6 +53,7 @@ def test_killed_while_it_saves_it_loses_nothing(tmp_path: Path) -> None:
     assert found.counts["killed inside a write"] > 0
 
 
+@pytest.mark.slow
 def test_the_whole_daemon_killed_again_and_again_loses_nothing() -> None:
     """Lives are so long that a rest is stored though a busy machine gives the daemon a fifth of its time."""
     found = faults.in_folder(lambda folder: killed_live(4, 1, folder, life_s=5.0))
@@ -106,6 +107,7 @@ def test_whatever_a_phone_sends_the_daemon_answers_on_and_ends() -> None:
     assert judged(faults.in_folder(lambda f: hostile_bytes(20_000, 2, f))).counts["bytes"] == 20_000
 
 
+@pytest.mark.slow
 def test_a_good_phone_is_served_after_hostile_ones_and_one_that_is_not_is_counted() -> None:
     found = judged(faults.in_folder(lambda f: hostile_messages(300, 3, f)))
     assert found.counts["a good phone is known then"] == 1

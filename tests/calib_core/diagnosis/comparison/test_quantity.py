@@ -171,6 +171,7 @@ def test_the_smallest_visible_difference_is_seen_nine_times_in_ten() -> None:
     assert np.mean(seen) == pytest.approx(0.9, abs=0.02)
 
 
+@pytest.mark.slow
 def test_p_of_many_comparisons_is_uniform_at_most() -> None:
     """Under no difference p falls below a level no more often than the level says."""
     rng = np.random.default_rng(5)

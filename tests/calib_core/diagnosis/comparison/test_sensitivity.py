@@ -53,6 +53,7 @@ def smallest(seed: int) -> float:
     return min(r.value for r in rows if (r.effect, r.parameter) == ("gyro_bias_temperature", "slope"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "least", "most"), [(1.0, 9, 12), (0.4, 0, 4)])
 def test_an_effect_of_the_stated_size_is_found_nine_times_in_ten(share: float, least: int, most: int) -> None:
     """Of twelve nine or more are found (all but 1 time in 60, at 90 %); at two fifths of the size few are."""

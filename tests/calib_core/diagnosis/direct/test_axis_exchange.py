@@ -24,6 +24,7 @@ def changed(samples: Samples, change: np.ndarray, start: float = 0.0, end: float
 CYCLED, SWAPPED = np.eye(3)[[1, 2, 0]], np.eye(3)[[1, 0, 2]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("force_by", "rate_by", "mended_by"),
     [
@@ -74,6 +75,7 @@ def test_sound_axes_are_silent() -> None:
     assert garbled(turns) is None and other_axes(turns) is None
 
 
+@pytest.mark.slow
 def test_what_is_turned_otherwise_throughout_is_said_once() -> None:
     force, spin, _ = day()
     found = compare_with_ideal(examine(force, changed(spin, np.diag([1.0, -1.0, 1.0])))).discrepancies

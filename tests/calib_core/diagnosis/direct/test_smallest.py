@@ -32,6 +32,7 @@ def thinned(rng: np.random.Generator, fraction: float) -> np.ndarray:
     return np.asarray((np.arange(N) / RATE + rng.normal(0.0, 1e-4, N))[kept])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("effect", "put_in"), [("timestamp_jitter", jittered), ("dropped_samples", thinned)])
 def test_the_smallest_size_is_found_nine_times_in_ten(
     effect: str, put_in: Callable[[np.random.Generator, float], np.ndarray]

@@ -194,6 +194,7 @@ def test_steps_that_real_phones_have_are_no_finding_unless_finer_ones_are_declar
     assert (quantisation(values, "gyro", seen, lsb, SOUND["step_over_noise"]) is not None) == coarse
 
 
+@pytest.mark.slow
 def test_a_line_near_the_limit_of_what_can_be_seen_has_its_frequency() -> None:
     """Quarter of an hour; the matched filter that knows all would see 16 standard deviations."""
     t = np.arange(22_500) / 25.0
@@ -231,6 +232,7 @@ def test_a_line_is_found_in_rests_too_short_for_long_stretches() -> None:
     assert line is not None and line.parameters["frequency"].value == pytest.approx(13.0, abs=0.02)
 
 
+@pytest.mark.slow
 def test_a_line_too_faint_for_any_rest_is_found_in_all_of_them_together() -> None:
     """Twenty rests of forty seconds; all of them have 13 standard deviations of it, each alone 3."""
     t = np.arange(21_500) / 25.0

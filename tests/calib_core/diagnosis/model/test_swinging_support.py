@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.diagnosis.comparison.noise import hidden_by_motion
 from stillcal.calib_core.diagnosis.effects.unknown import UnknownCurve
@@ -48,6 +49,7 @@ def in_ten_attitudes(seed: int) -> tuple[np.random.Generator, nulls.Day]:
     return rng, nulls.Day(moments, np.concatenate(rest), np.vstack(up), 25.0 + 0.0 * moments, 0.0 * moments)
 
 
+@pytest.mark.slow
 def test_a_steady_swing_is_no_period_of_the_bias_and_a_period_of_the_bias_is() -> None:
     """Gravity lies more on one side of an axis than on the other, so that the swing has a mean on each."""
     rng, day = in_ten_attitudes(2)

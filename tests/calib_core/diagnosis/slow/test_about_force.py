@@ -37,6 +37,7 @@ def force_of(bins: Bins) -> SensorResiduals:
     return about_nonlinearity(by_sensor(bins, nulls.G))[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("quadratic", [3e-3, 1e-2])
 def test_a_square_of_a_good_part_of_the_force_has_its_name_and_its_size(quadratic: float) -> None:
     """3 and 10 % of the force at 1 g: linear in both about none, they were unknown."""

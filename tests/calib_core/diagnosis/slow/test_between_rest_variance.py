@@ -38,6 +38,7 @@ def found(seed: int, family: str, size: np.ndarray, slope: float = 0.0) -> list[
     return slow_findings(by_sensor(nulls.bins_of(rng, day, family, gyro_error=error), nulls.G)[1])
 
 
+@pytest.mark.slow
 def test_jumps_are_found_as_large_as_they_are() -> None:
     findings = found(1, "flicker", SIZE)
     assert [(f.effect, f.where.driver) for f in findings] == [("unknown", DRIVER)]

@@ -203,6 +203,7 @@ def test_wander_without_a_name_is_not_told_beside_structure_without_one() -> Non
     assert not_unknown_twice([Stated(step)], [unknown]) == [unknown]
 
 
+@pytest.mark.slow
 def test_a_name_whose_sizes_may_all_be_nothing_is_taken_off() -> None:
     """A gain that changes at a moment was told as a step of the bias by z -2.2 +- 2.7 mg, without a doubt."""
     rng = np.random.default_rng(2)

@@ -112,6 +112,7 @@ def test_a_second_name_may_be_how_the_first_one_departs() -> None:
     assert doubted(two, BiasTemperature("gyro"), Charging("gyro")) == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rival", "name"), [(True, "unknown"), (False, "thermal_latent")])
 def test_where_another_name_comes_as_near_neither_is_told(rival: bool, name: str) -> None:
     """A charger's bias that comes late in part is no heat, which comes late as a whole."""

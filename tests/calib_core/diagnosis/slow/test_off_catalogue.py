@@ -58,6 +58,7 @@ def said(seed: int, curve: Array, size: float = 4e-4, without: tuple[str, ...] =
     return slow_findings(residuals, without)
 
 
+@pytest.mark.slow
 def test_a_bias_that_comes_and_goes_is_unknown_with_its_stretch() -> None:
     day = short_day(6)
     found = said(6, ((day.t > 1200) & (day.t < 1900)).astype(float))
@@ -117,6 +118,7 @@ def test_a_gain_that_changes_once_is_no_step_of_the_bias(by_force: bool) -> None
     assert (first.hypothesis.effect.name == "unknown") == by_force
 
 
+@pytest.mark.slow
 def test_a_cycle_is_unknown_with_its_period() -> None:
     day = short_day(6)
     found = said(6, np.sin(2 * np.pi * day.t / 400.0))
@@ -128,6 +130,7 @@ def test_a_cycle_is_unknown_with_its_period() -> None:
     assert high - low < 40.0
 
 
+@pytest.mark.slow
 def test_a_curve_that_no_polynomial_is_follows_temperature_without_a_name() -> None:
     day = short_day(5)
     warm = day.temperature - np.quantile(day.temperature, 0.3)
@@ -157,6 +160,7 @@ def test_a_force_that_follows_the_product_of_the_other_two_is_unknown_and_follow
     assert (found.effect, found.where.driver) == ("unknown", "attitude, nonlinearly")
 
 
+@pytest.mark.slow
 def test_a_step_within_a_bin_is_timed_within_it() -> None:
     """A jump of a hundred times a bin's noise leaves no doubt of a time to a tenth of a bin of 18 s."""
     day = short_day(6)
@@ -168,6 +172,7 @@ def test_a_step_within_a_bin_is_timed_within_it() -> None:
     assert found[0].where.t_start == pytest.approx(at, abs=2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("ratio", "named"), [(0.4, False), (5.0, True)])
 def test_a_walk_is_named_only_beyond_what_a_phone_may_have(ratio: float, named: bool) -> None:
     rng, day = day_of(9)
@@ -240,6 +245,7 @@ def test_every_effect_outside_the_catalogue_can_be_drawn() -> None:
         assert np.ptp(put.error) > 0.0
 
 
+@pytest.mark.slow
 def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_without_one() -> None:
     day = short_day(6)
     residuals, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
@@ -264,6 +270,7 @@ def test_where_neither_the_first_nor_its_first_rival_stands_the_others_are_tried
     assert [f.effect for f in findings_of(residuals, [Step(first, (second, period))])] == ["unknown"]
 
 
+@pytest.mark.slow
 def test_what_does_not_stand_beside_a_name_does_not_take_it_away() -> None:
     _, day = day_of(7)
     residuals, _ = gyro_of(7, np.outer(1.0 - np.exp(-day.t / 300.0), [5e-4, 0.0, -2.5e-4]), seconds=3600)

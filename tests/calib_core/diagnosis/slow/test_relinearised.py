@@ -52,6 +52,7 @@ def stated(residuals: SensorResiduals, found: Estimate) -> Stated:
     return Stated(finding, found.hypothesis, residuals)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cubic", [2e-3, 2e-4])
 def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
     accelerometer, gyroscope = fast_turns(cubic, 1)

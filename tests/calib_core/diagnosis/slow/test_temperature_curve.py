@@ -21,6 +21,7 @@ def gyro_of(error: np.ndarray | None) -> SensorResiduals:
     return by_sensor(nulls.bins_of(rng, day, "white", gyro_error=error), nulls.G)[1]
 
 
+@pytest.mark.slow
 def test_a_curve_is_one_effect_with_its_bend() -> None:
     _, day = day_of(5)
     warm = day.temperature - day.temperature.mean()
@@ -33,6 +34,7 @@ def test_a_curve_is_one_effect_with_its_bend() -> None:
     assert bend.unit == "rad/s/K^2"
 
 
+@pytest.mark.slow
 def test_a_straight_line_has_no_bend() -> None:
     _, day = day_of(5)
     (finding,) = slow_findings(gyro_of(np.outer(day.temperature, SLOPE)))

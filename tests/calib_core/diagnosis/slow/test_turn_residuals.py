@@ -41,6 +41,7 @@ def test_a_gain_that_ages_is_no_temperature_s() -> None:
     np.testing.assert_allclose(found[0].parameters["gain"].value, 2e-3, rtol=0.2)
 
 
+@pytest.mark.slow
 def test_a_scale_that_follows_temperature_keeps_its_name() -> None:
     assert [f.effect for f in accelerometer(0.0, 0.0, 2e-4)] == ["accel_scale_temperature"]
 

@@ -170,6 +170,7 @@ def test_a_table_of_rests_is_judged_by_norms_and_says_what_it_cannot_show(tmp_pa
     assert result.exit_code == 3 and "at least 7" in result.output
 
 
+@pytest.mark.slow
 def test_an_accelerometer_alone_has_a_page(written: Writer, tmp_path: Path) -> None:
     alone = msgspec.structs.replace(phone_with(THERMAL), gyro=None)
     made = recorded(alone, 3)

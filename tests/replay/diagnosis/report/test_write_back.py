@@ -65,6 +65,7 @@ def test_the_baseline_is_that_of_the_phone(case_with: Callable[..., Case]) -> No
     assert found.accel.rate_hz == pytest.approx(true.accel.rate_hz, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_phone_played_again_has_the_recordings_clock_gaps_and_limit() -> None:
     """The motion is known by a clock that is fast and up to the limit: neither may count twice."""
     phone = phone_with(
@@ -134,6 +135,7 @@ def test_what_a_clock_cannot_be_is_not_in_the_phone_file(case_with: Callable[...
     assert mapped.effect is None and "must be between" in mapped.why
 
 
+@pytest.mark.slow
 def test_the_clock_of_the_written_phone_scatters_loses_and_stalls_as_the_recording_does() -> None:
     """Less than a finding takes: half a per cent of the samples, stamps by 0.3 ms of 40."""
     uneven = msgspec.structs.replace(
@@ -173,6 +175,7 @@ def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
     assert case_of(made, plain, Comparison()).cutoffs == {}
 
 
+@pytest.mark.slow
 def test_the_gyroscopes_scale_in_the_phone_file_is_that_beside_its_nonlinearity() -> None:
     """The turns tell both: fitted without the nonlinearity, the scale held a part of it, 0.5 % here."""
     scale, quadratic = np.array([1.006, 0.996, 1.003]), np.array([0.0, 2e-2, 0.0])
