@@ -21,6 +21,10 @@ from stillcal.replay.formats.errors import TraceError
 FASTEST_STEP_S = 5e-4
 """2 kHz, s: with a unit chosen by itself the median step lies between this and 1000 times it."""
 
+SLOWEST_STEP_S = 1.02
+"""s: a longer median step is another unit of time; a sensor's of less than 1 kHz is longer in ms. The 2 % are
+for a log at 1 Hz: clocks are off by so much, and the median of uneven steps by less."""
+
 GAP_S = 1.0
 """s: a step longer than this (and than ten median steps) is counted as a gap."""
 
@@ -221,7 +225,7 @@ def _shown_unit(stamps: Array) -> float | None:
     units, day = TIME_UNITS.values(), LONG_TIME_UNITS["days"]
     since_1970 = [s for s in units if _EPOCH_S[0] < first * s < _EPOCH_S[1]]
     days = [day] if _SPREADSHEET_DAYS[0] < first < _SPREADSHEET_DAYS[1] else []
-    dated = [s for s in (*since_1970, *days) if FASTEST_STEP_S <= typical * s <= GAP_S]
+    dated = [s for s in (*since_1970, *days) if FASTEST_STEP_S <= typical * s <= SLOWEST_STEP_S]
     in_range = [s for s in units if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
     fits = dated or ([] if (step == 1.0).all() else in_range)
     return fits[0] if fits else None

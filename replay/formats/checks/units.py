@@ -16,6 +16,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.formats.checks.axes import Turning, turnings
+from stillcal.replay.formats.clock import SLOWEST_STEP_S
 from stillcal.replay.formats.errors import TraceError
 
 OPENING, ENOUGH = 200, 2000
@@ -65,9 +66,6 @@ _SMOOTHLY, _SWUNG = 0.6, 0.02
 of a second to the next by so much of what they turn, squared (noise: by twice that; a swing of 2 s: by 0.59),
 and turn by 0.14 rad in it at most, root of the second. Phones of 30 people at rest, read in deg/s, are
 noisier or turn more in most stretches; a child's swing does, too, and is taken for deg/s."""
-
-_SLOWEST_STEP = 1.0
-"""s: a longer median step is another unit of time; a sensor's of less than 1 kHz is longer in ms."""
 
 _MAP = "in a column map given as --format (docs/formats.md)"
 
@@ -137,8 +135,8 @@ class UnitCheck:
     def _judge_time(self, t: Array) -> None:
         """Refuse stamps that cannot be seconds: of a sensor that gives less than a sample a second."""
         step = float(np.median(np.diff(t))) if t.size > FEWEST else 0.0
-        if step > _SLOWEST_STEP:
-            what = f"the time stamps step by {step:.6g}, where a sensor's step by {_SLOWEST_STEP:g} s at most"
+        if step > SLOWEST_STEP_S:
+            what = f"the time stamps step by {step:.6g}, where a sensor's step by 1 s at most"
             remedy = f'give s, or set unit = "ns", "us" or "ms" {_MAP}; a table of rests needs --format rest'
             raise TraceError(self.path, what, remedy)
 

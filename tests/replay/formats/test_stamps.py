@@ -84,6 +84,12 @@ def test_dates_need_not_stand_first(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
 
 
+def test_times_since_1970_at_1_hz_may_have_a_slow_clock(tmp_path: Path) -> None:
+    """They were taken for ms, and the recording for one at 1 kHz."""
+    recording = read(tmp_path, {"timestamp": texts(1.75e9 + SECONDS * 100.0 * 1.003, ".4f")})
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 1.003, atol=1e-3)
+
+
 def test_ticks_are_no_times_where_there_are_times(tmp_path: Path) -> None:
     recording = read(
         tmp_path, {"Clock:Tick#": texts(SECONDS * 4.5e6, ".0f"), "Clock:offsetTime": texts(SECONDS, ".3f")}

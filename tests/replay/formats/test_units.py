@@ -88,6 +88,15 @@ def test_stamps_too_far_apart_may_be_those_of_rests(tmp_path: Path) -> None:
         read(tmp_path / "r.csv", rows)
 
 
+def test_a_log_at_1_hz_may_have_a_slow_clock_and_uneven_stamps(tmp_path: Path) -> None:
+    rows = phone("still", 600)
+    rows[:, 0] *= 100.0 * (1.0 + 50e-6)
+    assert taken_as_given(tmp_path / "slow.csv", rows)
+    rows[:, 0] += np.random.default_rng(2).uniform(-0.3, 0.3, 600)
+    assert np.median(np.diff(rows[:, 0])) > 1.001
+    assert taken_as_given(tmp_path / "uneven.csv", rows)
+
+
 @pytest.mark.parametrize("scene", ["turning", "walking", "still"])
 def test_degrees_are_recognised(tmp_path: Path, scene: str) -> None:
     """Also of a phone that lies still: as radians its noise alone would turn gravity visibly."""
