@@ -9,6 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
+from stillcal.replay.formats.checks.units import multiples_of
 from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap, find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.sources import Source
@@ -42,6 +43,8 @@ def read_rest_table(found: Path | Source) -> list[RestState]:
         raise TraceError(path, f"no column {missing!r}", "name the means of a rest table ax, ay, az", 1)
     if not force.any():
         raise TraceError(path, "all rests read zero", "give the means in ax, ay, az")
+    if unit := multiples_of(np.linalg.norm(force, axis=1)):
+        raise TraceError(path, f"the forces seem to be in {unit}", "give a rest table in m/s^2 and rad/s")
     rate = _axes(columns, ("gx", "gy", "gz"))
     force_sd = _axes(columns, ("sax", "say", "saz"))
     if force_sd is None:

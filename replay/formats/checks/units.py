@@ -141,12 +141,11 @@ class UnitCheck:
             raise TraceError(self.path, what, remedy)
 
     def _judge_size(self, norms: Array) -> None:
-        low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))
+        low, middle = np.quantile(norms, (0.05, 0.5))
         description = f"the acceleration is about {middle:.4g} in size where m/s^2 would give 9.8"
-        for unit, one in (("g", 1.0), ("mg", 1000.0)):
-            if 0.7 * one < middle < 1.4 * one and 0.2 * one < low and high < 4 * one:
-                what = f"{description}: it seems to be {unit}"
-                raise TraceError(self.path, what, f'give m/s^2, or set unit = "{unit}" {_MAP}')
+        if unit := multiples_of(norms):
+            what = f"{description}: it seems to be {unit}"
+            raise TraceError(self.path, what, f'give m/s^2, or set unit = "{unit}" {_MAP}')
         if low > 60:
             what = f"{description}: raw counts?"
             remedy = f'say accel_unit (m/s^2 in one count) in NAME.json, or unit = "counts" {_MAP}'
@@ -159,6 +158,15 @@ class UnitCheck:
                 what = f"the rates are not {assumed}: gravity's direction turns as if they were {unit}"
                 raise TraceError(self.path, what, f'give rad/s, or set unit = "{unit}" {_MAP}')
         self._settled = votes["as stated"] >= _VOTES
+
+
+def multiples_of(norms: Array) -> str | None:
+    """Return the unit, g or mg, that accelerations of sizes `norms` (n,) are in; None for another."""
+    low, middle, high = np.quantile(norms, (0.05, 0.5, 0.95))
+    for unit, one in (("g", 1.0), ("mg", 1000.0)):
+        if 0.7 * one < middle < 1.4 * one and 0.2 * one < low and high < 4 * one:
+            return unit
+    return None
 
 
 def shown_unit(turning: Turning) -> str:

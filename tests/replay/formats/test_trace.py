@@ -258,6 +258,8 @@ def test_a_rest_table_of_means_only_knows_their_rounding(tmp_path: Path) -> None
         ("ax,ay\n1,2\n", "no column 'az'"),
         ("ax,ay,az\n", "header only"),
         ("ax,ay,az\n0,0,0\n0,0,0\n", "zero"),
+        ("t,ax,ay,az\n0,0,0,1\n9,0,1,0.02\n", "the forces seem to be in g"),
+        ("ax,ay,az\n0,0,1000\n0,990,20\n", "the forces seem to be in mg"),
         ("ax,ay,az\n1,2,3\n1,nan,3\n", "t.csv:3: column 'ay'"),
         ("ax,ay,az\n1,2,3\n1,,3\n", "t.csv:3: column 'ay'"),
     ],
