@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.calibration.corrections.catalogue import ADOPT
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
@@ -32,10 +33,30 @@ def keep_in_store(
     """
     notes: list[str] = []
     with Store(path, settings) as opened:
+        before = _current(opened)
         for action in actions:
             change = opened.publish if isinstance(action, Publish) else opened.reject
             notes += change(action.record, action.reason, action.t).notes
-    return notes
+        after = _current(opened)
+    return [*notes, *_lost_terms(before, after)]
+
+
+def _current(store: Store) -> CalibrationRecord | None:
+    document = store.load_if_any()
+    return None if document is None else document.current
+
+
+def _lost_terms(before: CalibrationRecord | None, after: CalibrationRecord | None) -> list[str]:
+    """Say which effects the calibration before corrected and the one after it does not."""
+    if before is None or after is None:
+        return []
+    lost = {term.effect for term in before.terms} - {term.effect for term in after.terms}
+    if not lost:
+        return []
+    return [
+        f"calibration {before.id}, which is replaced, also corrected {', '.join(sorted(lost))}: take that up"
+        f" again with {ADOPT}, or go back with stillcal store rollback"
+    ]
 
 
 def from_recording(
