@@ -266,8 +266,7 @@ def _accelerometer(
             pool.held, gravity, AccelerometerSettings(), min(part.parameters, 9), prior
         ), pool
 
-    (old, _), (new, pool) = fitted(before), fitted(after)
-    ratio = new.rms_residual / old.rms_residual if old.rms_residual > 0.0 else 1.0
+    new, pool = fitted(after)
     turned = common_rotation(part.scale) if part.parameters == ALL else np.eye(3)
     own = accelerometer_record(new, find_change(new, pool.held), forces(pool.rests))
     by_terms = _by_terms(before, after, Sensor.ACCELEROMETER, lambda r: fitted(r)[0].values - new.values)
@@ -276,7 +275,9 @@ def _accelerometer(
         scale=frozen(turned @ new.model.scale),
         bias=new.model.bias,
         covariance=None if own.covariance is None else _with_rotation(part, own.covariance + by_terms),
-        rms_residual=None if part.rms_residual is None else part.rms_residual * min(ratio, 1.0),
+        rms_residual=own.rms_residual,
+        n_rests=own.n_rests,
+        n_states=own.n_states,
     )
     return _without_forecast(replace(after, accelerometer=changed), Sensor.ACCELEROMETER)
 

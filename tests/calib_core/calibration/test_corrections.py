@@ -185,15 +185,24 @@ def test_an_adopted_effect_is_corrected_on_rests_never_seen(effect: str) -> None
 
 @pytest.mark.parametrize("effect", ["accel_charging_bias", "gyro_charging_bias"])
 def test_a_calibration_that_has_followed_later_rests_begins_anew_from_its_own(effect: str) -> None:
-    """It held the bias of a moment on or off the charger that nobody kept, and was moved by the step."""
+    """It held the bias of a moment on or off the charger that nobody kept, and was moved by the step.
+
+    What it says of itself is that of its own rests again.
+    """
     known = record(effect)
     assert known.accelerometer is not None and known.gyroscope is not None
+    bias = known.accelerometer.bias + 0.03
+    later = {"bias": bias, "rms_residual": 0.05, "n_rests": 3 * N, "n_states": 2 * N}
     moved = replace(
         known,
-        accelerometer=replace(known.accelerometer, bias=known.accelerometer.bias + 0.03),
+        accelerometer=replace(known.accelerometer, **later),
         gyroscope=replace(known.gyroscope, bias=known.gyroscope.bias + 2e-3),
     )
-    after = left(with_terms(moved, [finding(effect)]), effect, plugged())
+    new = with_terms(moved, [finding(effect)])
+    after = left(new, effect, plugged())
+    if sensor_of(effect) is ACCEL:
+        assert new.accelerometer.n_rests == N >= new.accelerometer.n_states
+        assert new.accelerometer.rms_residual < 2 * FORCE_SD
     assert after < 3 * (FORCE_SD if sensor_of(effect) is ACCEL else RATE_SD)
 
 
