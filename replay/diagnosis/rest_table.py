@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.slow.search import forward
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.temperature.charger import FULL_K
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
@@ -102,10 +103,17 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
         rate=rate,
         rate_variance=None if rate is None else _variances(rests),
         temperature=None if any(w is None for w in warm) else np.array(warm, dtype=np.float64),
+        charging=_charging(rests),
     )
 
 
-def _stacked(values: Sequence[Array | None]) -> Array | None:
+def _charging(rests: Sequence[RestState]) -> Array | None:
+    """Return 1 on the charger and 0 off it, (n,); None where that is not known of every rest."""
+    charged = _stacked([None if r.charged is None else r.charged[0] for r in rests])
+    return None if charged is None or np.isnan(charged).any() else charged / FULL_K
+
+
+def _stacked(values: Sequence[Array | float | None]) -> Array | None:
     return None if any(v is None for v in values) else np.array(values, dtype=np.float64)
 
 

@@ -29,7 +29,7 @@ def kept_rests(path: Path) -> list[RestState]:
 
     Their forces are those at the newest one's gravity: a rest at another place is scaled, which leaves an
     error of the bias times the change of gravity, 0.1 mg at most. Where half of the rests or more have rates,
-    only those are returned, and likewise for temperatures.
+    only those are returned, and likewise for temperatures and for whether the phone was on the charger.
     """
     try:
         memory = decode(read_regular(path, MAX_BYTES)).engine.memory
@@ -37,11 +37,23 @@ def kept_rests(path: Path) -> list[RestState]:
         raise TraceError(path, str(error), "give the state of a daemon of this version") from error
     if not len(memory):
         raise TraceError(path, "no rests are kept yet", "let the daemon gather rests")
-    for column in ("rate", "celsius"):
-        known = np.isfinite(getattr(memory, column)).reshape(len(memory), -1).all(axis=1)
+    for columns in (_rates, _temperatures, _on_charger):
+        known = np.isfinite(columns(memory)).all(axis=1)
         if known.mean() >= _HALF:
             memory = memory.where(np.asarray(known))
     return [_rest(memory, row) for row in range(len(memory))]
+
+
+def _rates(memory: Memory) -> Array:
+    return memory.rate
+
+
+def _temperatures(memory: Memory) -> Array:
+    return memory.celsius[:, None]
+
+
+def _on_charger(memory: Memory) -> Array:
+    return memory.charged[:, :1]
 
 
 def _rest(memory: Memory, row: int) -> RestState:
@@ -60,6 +72,7 @@ def _rest(memory: Memory, row: int) -> RestState:
         rate_sd=_known(rate_sd, has_rate),
         rate_uncertainty=_known(rate_sd, has_rate),
         temperature=celsius if np.isfinite(celsius) else None,
+        charged=memory.charged[row],
     )
 
 

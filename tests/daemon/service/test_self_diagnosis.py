@@ -153,6 +153,7 @@ def test_the_rests_of_a_state_are_read_as_a_table_of_rests(tmp_path: Path) -> No
     assert np.array_equal([r.rate for r in rests], memory.rate)
     assert np.array_equal([r.force_uncertainty for r in rests], memory.force_sd)
     assert [r.temperature for r in rests] == memory.celsius.tolist()
+    assert np.array_equal([r.charged for r in rests], memory.charged, equal_nan=True)
     saved_state.save(tmp_path / "empty.state", saved_state.encode(SavedState(Engine().state)))
     refused = CliRunner().invoke(cli, ["diagnose", str(tmp_path / "empty.state")])
     assert "no rests are kept yet" in str(refused.exception)
