@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.segments.merged_rests import merged
+from stillcal.calib_core.diagnosis.segments.merged_rests import merged, rising
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
 from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
@@ -83,16 +83,17 @@ def _without_effects(bins: Bins, findings: Sequence[Finding], gravity: float) ->
 
 
 def rest_bins(rests: Sequence[RestState]) -> Bins:
-    """Return a table of rests as bins, one a row: no vibration, no motion, every row a rest of its own.
+    """Return a table of rests as bins in order of time, one a row: no vibration, no motion, each row a rest.
 
-    Rows without a duration count as one second.
+    Rows without a duration count as one second. Of rows at the same time the later ones are a little later.
     """
+    rests = sorted(rests, key=lambda r: r.t_start)
     start = np.array([r.t_start for r in rests])
     duration = np.maximum([r.duration for r in rests], 1.0)
     rate = _stacked([r.rate for r in rests])
     warm = [r.temperature for r in rests]
     return Bins(
-        t=start + duration / 2.0,
+        t=rising(start + duration / 2.0),
         duration=duration,
         rest=np.arange(len(rests)),
         force=np.array([r.specific_force for r in rests]),

@@ -112,7 +112,7 @@ def _means(bins: Bins, group: Index) -> Bins:
     force = mean(kept.force)
     return replace(
         kept,
-        t=_rising(mean(kept.t)),
+        t=rising(mean(kept.t)),
         duration=mean(kept.duration),
         rest=np.arange(total.size),
         # The mean of directions that differ is short: its length is the mean of the lengths.
@@ -125,7 +125,7 @@ def _means(bins: Bins, group: Index) -> Bins:
     )
 
 
-def _rising(t: Array) -> Array:
+def rising(t: Array) -> Array:
     """Return times (m,) s, none of them earlier than `APART` after the one before."""
     steps = APART * np.arange(t.size)
     return np.asarray(np.maximum.accumulate(t - steps) + steps)

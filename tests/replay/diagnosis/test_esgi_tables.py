@@ -10,6 +10,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
 from stillcal.replay.formats.rest_table import read_rest_table
 
@@ -36,3 +37,18 @@ def test_rates_printed_with_all_their_digits_are_not_taken_as_known_to_the_last(
     rows = np.column_stack([30.0 * np.arange(24), force, rate])
     np.savetxt(table, rows, delimiter=",", header="t,ax,ay,az,gx,gy,gz", comments="")
     assert diagnose_rests(read_rest_table(table), "rests.csv")["findings"] == []
+
+
+def rest(at: float, temperature: float | None = None) -> RestState:
+    sd = np.full(3, 1e-3)
+    force = np.array([0.0, 0.0, 9.8])
+    return RestState(at, at + 20.0, 1, force, sd, sd, 1e-3, temperature=temperature)
+
+
+def test_rows_may_stand_in_any_order_and_share_a_time() -> None:
+    """Rows out of order ended the diagnosis with an error in a filter over time."""
+    rests = [rest(60.0 * (i // 2), temperature=20.0 + i) for i in range(24)]
+    mixed = rest_bins([rests[i] for i in np.random.default_rng(4).permutation(24)])
+    assert mixed.temperature is not None and (np.diff(mixed.t) > 0.0).all()
+    np.testing.assert_allclose(mixed.t, rest_bins(rests).t, atol=0.01)
+    assert set(mixed.temperature[:2]) == {20.0, 21.0}
