@@ -7,7 +7,11 @@ from collections.abc import Iterable
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.corrections.catalogue import follows_charger, follows_start
+from stillcal.calib_core.calibration.corrections.catalogue import (
+    follows_charger,
+    follows_start,
+    follows_temperature,
+)
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.maths.rms import rms
@@ -65,7 +69,10 @@ class Suitability:
 
     def _temperature(self) -> str:
         valid = self._record.validity
-        if valid.temperature_min is None or valid.temperature_max is None or self._coldest > self._hottest:
+        if self._coldest > self._hottest:
+            effects = " and ".join(t.effect for t in self._record.terms if follows_temperature(t))
+            return f"{effects}: not corrected, the recording has no temperature" if effects else ""
+        if valid.temperature_min is None or valid.temperature_max is None:
             return ""
         low, high = valid.temperature_min - SLACK_C, valid.temperature_max + SLACK_C
         if low <= self._coldest and self._hottest <= high:

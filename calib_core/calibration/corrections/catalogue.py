@@ -45,6 +45,12 @@ def follows_start(term: Term) -> bool:
     return correction is not None and correction.by_start
 
 
+def follows_temperature(term: Term) -> bool:
+    """Tell whether a term follows the thermometer."""
+    correction = CORRECTIONS.get(term.effect)
+    return correction is not None and "temperature" in correction.references
+
+
 def check_terms(terms: Iterable[Term]) -> None:
     """Refuse terms that cannot be applied as they are: ValueError. An effect that is not known here passes.
 

@@ -90,6 +90,17 @@ def test_a_calibration_of_the_gyroscope_alone_says_what_it_leaves(record: Any) -
     assert warned(record, samples) == []
 
 
+@pytest.mark.parametrize("effect", ["accel_bias_temperature", "accel_scale_temperature"])
+def test_what_follows_temperature_is_said_to_be_left_in_without_one(record: Any, effect: str) -> None:
+    slope = {"slope": TermParameter(value=np.full(3, 1e-3), unit="")}
+    reference = {"temperature": 22.0}
+    term = Term(effect=effect, sensor=Sensor.ACCELEROMETER, parameters=slope, reference=reference)
+    follows = replace(record, terms=(term,))
+    (said,) = warned(follows, resting(record, corrected=False))
+    assert said == f"{effect}: not corrected, the recording has no temperature"
+    assert warned(follows, resting(record, corrected=False, celsius=22.0)) == []
+
+
 def test_a_bias_that_follows_the_charger_needs_to_know_when_it_was_plugged_in(record: Any) -> None:
     amplitude = TermParameter(value=np.full(3, 0.03), unit="m/s^2")
     term = Term(effect=BY_CHARGING, sensor=Sensor.ACCELEROMETER, parameters={"amplitude": amplitude})
