@@ -32,7 +32,6 @@ class Corrector:
     ) -> tuple[Samples, Samples | None]:
         """Return the next run of either sensor as true sensors would have given it. events: up to its end."""
         happened = tuple(events)
-        self._suits.see(accelerometer, happened)
         self._charger = self._charger.with_events(happened)
         accel, gyro = correct_both(
             self._record,
@@ -42,6 +41,7 @@ class Corrector:
             self._charger,
             started=self._switched_on,
         )
+        self._suits.see(accelerometer, accel, happened)
         if len(accel) and accel.temperature is not None:
             self._thermometer = self._thermometer.with_readings(accel.t, accel.temperature)
         return accel, gyro

@@ -43,19 +43,22 @@ class Suitability:
     def __init__(self, record: CalibrationRecord, *, start_is_known: bool = False) -> None:
         self._record = record
         self._start_is_known = start_is_known
-        self._means: list[Array] = []
+        self._norms: list[Array] = []
         self._coldest, self._hottest = np.inf, -np.inf
         self._charger = Charger()
 
-    def see(self, raw: Samples, events: Iterable[Event] = ()) -> None:
-        """Take events, and a run of the accelerometer's samples before the calibration is applied to them."""
+    def see(self, raw: Samples, corrected: Samples, events: Iterable[Event] = ()) -> None:
+        """Take events, and a run of the accelerometer's samples before and after they are corrected."""
         self._charger = self._charger.with_events(events)
         if raw.temperature is not None and np.isfinite(raw.temperature).any():
             self._coldest = min(self._coldest, float(np.nanmin(raw.temperature)))
             self._hottest = max(self._hottest, float(np.nanmax(raw.temperature)))
-        windows = raw.xyz[: len(raw) // WINDOW * WINDOW].reshape(-1, WINDOW, 3)
-        still = (windows.std(axis=1) < STILL).all(axis=1)
-        self._means += list(windows[still].mean(axis=1)[: MOST_WINDOWS - len(self._means)])
+        before, after = (
+            samples.xyz[: len(raw) // WINDOW * WINDOW].reshape(-1, WINDOW, 3) for samples in (raw, corrected)
+        )
+        still = (before.std(axis=1) < STILL).all(axis=1)
+        norms = (np.linalg.norm(windows[still].mean(axis=1), axis=1) for windows in (before, after))
+        self._norms += list(np.column_stack([*norms])[: MOST_WINDOWS - len(self._norms)])
 
     def warnings(self) -> list[str]:
         """Say what speaks against the calibration, or was assumed, a sentence each."""
@@ -103,12 +106,9 @@ class Suitability:
     def _corrected_already(self) -> str:
         """Compare gravity at rest before and after: only samples that were corrected before get worse."""
         part = self._record.accelerometer
-        if part is None or len(self._means) < LEAST_WINDOWS:
+        if part is None or len(self._norms) < LEAST_WINDOWS:
             return ""
-        means = np.array(self._means)
-        before, after = (
-            rms(np.linalg.norm(force, axis=1) - part.gravity) for force in (means, part.model.apply(means))
-        )
+        before, after = (rms(norms - part.gravity) for norms in np.transpose(self._norms))
         if after <= WORSE * before or after <= STILL:
             return ""
         return (

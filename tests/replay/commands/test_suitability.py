@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.record import Validity
+from stillcal.calib_core.calibration.terms import correct_both
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -39,7 +40,7 @@ def resting(record: Any, corrected: bool, celsius: float | None = None) -> Sampl
 
 def warned(record: Any, samples: Samples) -> list[str]:
     suits = Suitability(record)
-    suits.see(samples)
+    suits.see(samples, correct_both(record, samples, None)[0])
     return suits.warnings()
 
 
@@ -90,6 +91,24 @@ def test_a_calibration_of_the_gyroscope_alone_says_what_it_leaves(record: Any) -
     assert warned(record, samples) == []
 
 
+def test_what_a_term_takes_off_does_not_count_as_corrected_before(record: Any) -> None:
+    """The bias is that in the cold, and the recording is warm: without the term it would be made worse."""
+    slope = {"slope": TermParameter(value=-record.accelerometer.bias / 10.0, unit="")}
+    term = Term(
+        effect="accel_bias_temperature",
+        sensor=Sensor.ACCELEROMETER,
+        parameters=slope,
+        reference={"temperature": 15.0},
+    )
+    part = replace(record.accelerometer, scale=np.eye(3))
+    warm = replace(record, accelerometer=part, terms=(term,))
+    unbiased = replace(warm, accelerometer=replace(part, bias=np.zeros(3)), terms=())
+    samples = resting(unbiased, corrected=False, celsius=25.0)
+    assert warned(warm, samples) == []
+    (said,) = warned(replace(warm, terms=()), samples)
+    assert "corrected already" in said
+
+
 @pytest.mark.parametrize("effect", ["accel_bias_temperature", "accel_scale_temperature"])
 def test_what_follows_temperature_is_said_to_be_left_in_without_one(record: Any, effect: str) -> None:
     slope = {"slope": TermParameter(value=np.full(3, 1e-3), unit="")}
@@ -108,5 +127,5 @@ def test_a_bias_that_follows_the_charger_needs_to_know_when_it_was_plugged_in(re
     (said,) = warned(follows, samples)
     assert "off the charger" in said
     told = Suitability(follows)
-    told.see(samples, [Charging(0.0, True)])
+    told.see(samples, samples, [Charging(0.0, True)])
     assert told.warnings() == []
