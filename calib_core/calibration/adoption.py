@@ -133,9 +133,15 @@ def _started(record: CalibrationRecord) -> float | None:
 
 
 def _reason(terms: Iterable[Term], refitting: Collection[Term]) -> str:
-    """Return in words what was taken up, and what was fitted anew without it."""
+    """Return in words what was taken up, and what was fitted anew without it.
+
+    What follows the rate leaves the gyroscope's bias as it is, and its turns are not kept.
+    """
     reason = f"{', '.join(term.effect for term in terms)} taken up from a diagnosis"
-    return f"{reason}; bias and scale fitted anew without it" if refitting else reason
+    force = any(term.sensor is Sensor.ACCELEROMETER for term in refitting)
+    rate = any(t.sensor is Sensor.GYROSCOPE and not CORRECTIONS[t.effect].of_reading for t in refitting)
+    anew = (*(["the accelerometer's bias and scale"] * force), *(["the gyroscope's bias"] * rate))
+    return f"{reason}; {' and '.join(anew)} fitted anew without it" if anew else reason
 
 
 def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> dict[str, Term]:

@@ -270,7 +270,9 @@ def test_a_store_adopts_an_effect_shows_it_and_gives_it_back(effect: str, tmp_pa
     assert f"now corrects {effect}" in said.output
     assert "not taken up: clock_skew: a calibration has no correction for it" in said.output
     assert f"term {effect}" in run(store_group, ["show", str(store)]).output
-    assert f"accepted: terms, {effect} taken up" in run(store_group, ["show", str(store)]).output
+    anew = {ACCEL: "the accelerometer's bias and scale", GYRO: "the gyroscope's bias"}[sensor_of(effect)]
+    reason = f"{effect} taken up from a diagnosis; {anew} fitted anew without it"
+    assert f"accepted: terms, {reason}" in run(store_group, ["show", str(store)]).output
     assert "terms from day.json" in run(store_group, ["history", str(store)]).output
     kept = Store(store).load().current
     assert (

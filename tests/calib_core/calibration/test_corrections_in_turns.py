@@ -66,6 +66,7 @@ def test_a_nonlinear_gyroscope_is_corrected_and_its_scale_set_free(nonlinear: Ca
     """The scale that was fitted to turns held a part of the cube, and gives it back."""
     assert nonlinear.gyroscope is not None and nonlinear.gyroscope.parameters > 3
     known = with_terms(nonlinear, [finding("gyro_nonlinearity", quadratic=QUADRATIC, cubic=CUBIC)])
+    assert known.acceptance.reason == "gyro_nonlinearity taken up from a diagnosis"
     error, celsius = QUADRATIC * W**2 + CUBIC * W**3, np.full(len(W), 25.0)
     before, after = (left(r, error, celsius) for r in (nonlinear, known))
     assert after < before / 3
