@@ -150,7 +150,9 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
             found, diagnosed = _findings(diagnosis)
             record = with_terms(document.current, found, diagnosed)
             refused = refusals(document.current, found, diagnosed)
-        except (ValueError, KeyError, TypeError) as error:
+        except KeyError as error:
+            raise ValueError(f"{input_name(diagnosis)}: a finding lacks its {error.args[0]}") from error
+        except (ValueError, TypeError) as error:
             raise ValueError(f"{input_name(diagnosis)}: {error}") from error
         store.publish(record, f"terms from {short_name(diagnosis)}")
     click.echo(

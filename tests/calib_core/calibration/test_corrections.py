@@ -387,6 +387,15 @@ def test_what_a_calibration_cannot_take_up_is_said_and_the_rest_is_taken_up(tmp_
     assert "not taken up: accel_nonlinearity: the simulation has it, and the recording does" in said.output
 
 
+def test_a_finding_that_is_cut_short_says_what_it_lacks(tmp_path: Path) -> None:
+    store, diagnosis = tmp_path / "store.json", tmp_path / "day.json"
+    Store(store).publish(record("accel_warmup"))
+    cut = {k: v for k, v in finding("accel_warmup").items() if k != "where"}
+    diagnosis.write_text(json.dumps({"beginning": asdict(BEGINNING), "findings": [cut]}))
+    said = CliRunner().invoke(store_group, ["adopt-terms", str(store), str(diagnosis)])
+    assert (said.exit_code, said.output) == (2, f"stillcal: {diagnosis}: a finding lacks its where\n")
+
+
 def test_a_warm_up_that_was_taken_up_is_taken_off_when_another_effect_follows() -> None:
     """The second diagnosis may be of any recording: the calibration knows its own beginning."""
     first = adopted("accel_warmup")
