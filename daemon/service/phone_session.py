@@ -202,7 +202,7 @@ class PhoneSession:
             self._told = item
         if item is not None:
             self._items.append(item)
-            self._readers.recorders.notify(item)
+            self._readers.record(item)
 
     def _clock_jumped(self, what: str, reason: str) -> None:
         """Tell log and listeners that the phone's time stamps do not continue.
@@ -251,7 +251,7 @@ class PhoneSession:
     async def _on_hello(self, hello: Hello) -> None:
         await self._check_identity(device_name(hello))
         self.hello, self._in_step = hello, hello.flow == "credit"
-        self._readers.recorders.notify(hello)
+        self._readers.record(hello)
         self._commands.forget()
         if self._saved.clock.meet(hello.session):
             self._saved.energy.told = None
@@ -281,6 +281,7 @@ class PhoneSession:
             )
             self._act(reply.actions)
             self._told, self._saved.night = None, NightReport()
+            self._readers.forget()
         self._saved.device = device or before
 
     def _on_link(self, record: LinkUp | LinkDown) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import TypeVar
 
+from stillcal.calib_core.streams.events import Charging, Location
 from stillcal.daemon.service.live_stream import Live, LiveStream
 from stillcal.daemon.service.phone_clock import Timed
 from stillcal.daemon.service.subscribers import Subscriber, Subscribers
@@ -26,6 +27,7 @@ class SampleReaders:
 
     def __init__(self, changed: Callable[[], None] = lambda: None) -> None:
         self.recorders = Subscribers[Recorded]()
+        self._told: dict[type, Charging | Location] = {}
         self.live = LiveStream()
         self._changed = changed
         self._keeping_on = 0
@@ -35,12 +37,25 @@ class SampleReaders:
         """Whether somebody wants the sensors on."""
         return self._keeping_on > 0
 
+    def record(self, item: Recorded) -> None:
+        """Pass an item on to the recorders. What an event says holds until the next of its kind."""
+        if isinstance(item, Charging | Location):
+            self._told[type(item)] = item
+        self.recorders.notify(item)
+
+    def forget(self) -> None:
+        """Forget what events said: another phone said it."""
+        self._told.clear()
+
     def recording(self, sparing: bool) -> AbstractContextManager[Subscriber[Recorded]]:
-        """Subscribe to raw samples and events while the block lasts.
+        """Subscribe to raw samples and events while the block lasts; events that still hold come first.
 
         sparing: leave the sensors to the engine; otherwise they stay on meanwhile.
         """
-        return self._subscribed(self.recorders.subscribe(), sparing)
+        subscriber, unsubscribe = self.recorders.subscribe()
+        for event in self._told.values():
+            subscriber.queue.put_nowait(event)
+        return self._subscribed((subscriber, unsubscribe), sparing)
 
     def streaming(self, sparing: bool, patience_s: float) -> AbstractContextManager[Subscriber[Live]]:
         """Subscribe to corrected samples, which may gather for `patience_s`; sparing: as in `recording`."""

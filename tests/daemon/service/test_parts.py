@@ -20,11 +20,12 @@ from hypothesis import strategies as st
 
 from stillcal.calib_core.codec import packed
 from stillcal.calib_core.engine.engine import Engine
-from stillcal.calib_core.streams.events import Temperature
+from stillcal.calib_core.streams.events import Charging, Location, Temperature
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.daemon.service import saved_state
 from stillcal.daemon.service.batching import join_blocks
 from stillcal.daemon.service.energy_ledger import DAY_S, KEPT_DAYS, EnergyLedger
+from stillcal.daemon.service.sample_readers import SampleReaders
 from stillcal.daemon.service.saved_state import SavedState, StateError, decode, encode
 from stillcal.daemon.sources.base import Record
 from stillcal.daemon.store.msgpack_arrays import encoded
@@ -314,3 +315,16 @@ def test_what_was_freed_between_what_is_kept_is_given_back(calls: list[str], giv
     """20 MB in pieces with something small behind each; left alone, glibc keeps nearly all of it."""
     ran = subprocess.run([sys.executable, "-c", PATCHY, *calls], capture_output=True, text=True, check=True)
     assert (int(ran.stdout) < 4e6) == given
+
+
+def test_a_recording_begins_with_what_the_phone_said_last_of_its_charger_and_place():
+    """A phone says them once, and a recording may begin hours later."""
+    readers, place = SampleReaders(), Location(2.0, 46.0, 7.0)
+    for event in (Charging(1.0, True), place, Charging(3.0, False)):
+        readers.record(event)
+    with readers.recording(sparing=True) as subscriber:
+        assert [subscriber.queue.get_nowait() for _ in range(2)] == [Charging(3.0, False), place]
+        assert subscriber.queue.empty()
+    readers.forget()
+    with readers.recording(sparing=True) as subscriber:
+        assert subscriber.queue.empty()
