@@ -36,24 +36,22 @@ from stillcal.calib_core.calibration.terms import drivers_at, offsets, polynomia
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.model import SensorModel
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.breaks import BREAK, HIDDEN, learn
 from stillcal.calib_core.temperature.charger import FULL_K
 from stillcal.calib_core.temperature.forecast import UNSEEN_S, Forecast
 from stillcal.calib_core.temperature.memory import MAX_AGE_S, Memory
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
-    BREAK,
     GYROSCOPE,
-    HIDDEN,
     POWERS,
     UNIT_K,
     Fit,
     Model,
     Observations,
     Priors,
-    Spans,
     averaged,
-    learn,
 )
+from stillcal.calib_core.temperature.wander import Spans
 
 LEAST_RESTS = 8
 """Fewer rests show too little of the accelerometer, of which each shows one direction only."""

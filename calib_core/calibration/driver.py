@@ -11,18 +11,11 @@ from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGIN
 from stillcal.calib_core.calibration.corrections.term import Term, lag_of
 from stillcal.calib_core.calibration.terms import polynomial
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.temperature.breaks import learn
 from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S
 from stillcal.calib_core.temperature.forecast import Forecast, plausible, thermometer_step
 from stillcal.calib_core.temperature.memory import Memory
-from stillcal.calib_core.temperature.regression import (
-    UNIT_K,
-    Fit,
-    Model,
-    Observations,
-    Priors,
-    Regression,
-    learn,
-)
+from stillcal.calib_core.temperature.regression import UNIT_K, Fit, Model, Observations, Priors, Regression
 from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
 
 _USUAL_C = 25.0

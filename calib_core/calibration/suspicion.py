@@ -19,8 +19,8 @@ from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import drivers_at, offsets, terms_uncertainty
 from stillcal.calib_core.static.rest import directions
 from stillcal.calib_core.streams.samples import Sensor
+from stillcal.calib_core.temperature.breaks import HIDDEN
 from stillcal.calib_core.temperature.memory import Memory
-from stillcal.calib_core.temperature.regression import HIDDEN
 
 _MOST_LOG_ODDS = 30.0
 """Log odds, either way, beyond which further rests do not count: later ones must be able to turn them."""

@@ -8,8 +8,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.temperature.charger import CHARGER_LAGS_S, FULL_K
-from stillcal.calib_core.temperature.regression import Wander, curve_basis
+from stillcal.calib_core.temperature.regression import curve_basis
 from stillcal.calib_core.temperature.thermometer import LAGS_S, felt
+from stillcal.calib_core.temperature.wander import Wander
 
 _LEAST_SPAN_K = 1.0
 
@@ -26,7 +27,7 @@ class Forecast:
     u^2, u^3 by axis, u = (T - reference) / 10 K. error: (4, 3) what is expected of the true bias beyond the
     bias and the terms of the calibration: at the reference, and coefficients; not zero where the evidence
     does not suffice to correct it. covariance: (12, 12) of the bias and the coefficients, axes innermost.
-    white, flicker, walk: the wander measured on this phone (regression.Wander). thermometer_sd: K, standard
+    white, flicker, walk: the wander measured on this phone (wander.Wander). thermometer_sd: K, standard
     uncertainty of a temperature for the thermometer's steps. lag_s: s, with which the sensor follows the
     thermometer; all temperatures here are the sensor's. behind_sd: K, how far the two were apart in the
     rests, root mean square: what is unknown of the sensor's temperature where only the thermometer's is

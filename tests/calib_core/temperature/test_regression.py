@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.temperature.breaks import learn
 from stillcal.calib_core.temperature.forecast import Forecast, thermometer_step
 from stillcal.calib_core.temperature.regression import (
     ACCELEROMETER,
@@ -19,10 +20,9 @@ from stillcal.calib_core.temperature.regression import (
     Model,
     Observations,
     Regression,
-    Spans,
     curve_basis,
-    learn,
 )
+from stillcal.calib_core.temperature.wander import Spans
 
 HOUR = 3600.0
 SLOPE = 0.02 * DEG
