@@ -149,6 +149,12 @@ def with_decision(new: Candidate, decision: Decision, occasion: str) -> Calibrat
     return replace(new.record, acceptance=Acceptance(reason=reason, evidence=evidence))
 
 
+def with_remark(record: CalibrationRecord, remark: str) -> CalibrationRecord:
+    """Return the record with a remark after the reason that it was decided on."""
+    acceptance = replace(record.acceptance, reason=f"{record.acceptance.reason}; {remark}")
+    return replace(record, acceptance=acceptance)
+
+
 def compare_on_held_out_rests(
     new: Candidate,
     old: SensorModel,

@@ -22,8 +22,8 @@ from stillcal.calib_core.calibration.constancy import (
     find_change,
 )
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
-from stillcal.calib_core.engine.decisions import FitTask, fit_and_decide
 from stillcal.calib_core.engine.engine import Engine
+from stillcal.calib_core.engine.full_calibration import FitTask, fit_and_decide
 from stillcal.calib_core.engine.schedule import Occasion
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.f_distribution import tail

@@ -22,7 +22,7 @@ from stillcal.calib_core.calibration.fingerprint import (
     likeness,
 )
 from stillcal.calib_core.calibration.record import AccelerometerRecord
-from stillcal.calib_core.engine.decisions import FitTask, fit_and_decide
+from stillcal.calib_core.engine.full_calibration import FitTask, fit_and_decide
 from stillcal.calib_core.engine.schedule import Occasion
 from stillcal.replay.phone import load_scenario, simulate
 from stillcal.replay.phone.population import population
