@@ -21,7 +21,7 @@ from stillcal.daemon.cli.lazy import examples
 from stillcal.daemon.cli.options import quiet_option
 from stillcal.daemon.cli.progress import stages
 from stillcal.daemon.store.document import pretty
-from stillcal.daemon.system.files import input_name, is_read_once, short_name
+from stillcal.daemon.system.files import input_name, short_name
 from stillcal.replay.commands.command_line import command_line
 from stillcal.replay.commands.fix_for import Correction
 from stillcal.replay.commands.outputs import (
@@ -355,15 +355,11 @@ def _read(reading: Reading, path: Path, show_stage: ShowStage, *, whole: bool) -
 
 def _columns(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, TimeSeries]:
     """Return further columns of a recording, all of which it must have."""
-    if is_read_once(path):
-        raise TraceError(path, "--covariate needs a file, to read it again", "save it as a file first")
     return read_covariates(reading.open(path), names)
 
 
 def _columns_there(reading: Reading, path: Path, names: Sequence[str]) -> dict[str, TimeSeries]:
     """Return those of the columns that a simulation has."""
-    if is_read_once(path):
-        return {}
     trace = reading.open(path)
     return read_covariates(trace, columns_there(trace, names))
 

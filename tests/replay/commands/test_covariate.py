@@ -105,6 +105,15 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     assert noise_of(gyro).slow_deviation().max() < 0.1 * SLOPE * VOLTS
 
 
+def test_a_pipe_has_its_further_columns_too(log: Path) -> None:
+    done = ran("diagnose", "-", "--covariate", "battery_i", given=log.read_bytes())
+    assert done.returncode == 2
+    assert (
+        b"standard input: it has no column 'battery_i'; it has t, ax, ay, az, gx, gy, gz, battery_v"
+        in done.stderr
+    )
+
+
 @pytest.mark.slow
 def test_python_takes_the_column_as_values_or_with_times_of_its_own(log: Path) -> None:
     (read,) = read_covariates(open_trace(log), ["battery_v"]).values()
