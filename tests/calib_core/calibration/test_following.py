@@ -35,6 +35,7 @@ from stillcal.calib_core.streams.samples import Sensor
 from stillcal.calib_core.temperature.forecast import Forecast
 from stillcal.calib_core.temperature.memory import MAX_AGE_S, Memory
 from stillcal.calib_core.temperature.thermometer import Thermometer
+from tests.calib_core.temperature.test_regression import moved_along_a_line
 
 HOUR, G = 3600.0, 9.80665
 DEG, MG = np.pi / 180, G * 1e-3
@@ -444,6 +445,21 @@ def test_one_rest_that_shows_a_step_leaves_as_much_unknown_across(size_mg: float
     learnt = learn_accelerometer(remembered(rests), TRUE, accelerometer_record(), t, SETTINGS)
     assert learnt is not None and len(learnt.steps) == 1
     assert (np.abs(learnt.bias - TRUE.bias - knock) < 2 * learnt.forecast.bias_uncertainty(t, 25.0)).all()
+
+
+def test_a_phone_that_lies_flat_is_followed_as_its_bias_moves_along_one_line() -> None:
+    """With a wander that is taken to be alike on all axes, the bias across gravity is off by 4.7 mg."""
+    flat, errors = SensorModel.of(np.eye(3), np.zeros(3)), []
+    for seed in range(24):
+        seen, bias = moved_along_a_line(seed)
+        noise = 0.05 * MG * np.random.default_rng(100 + seed).standard_normal(bias.shape)
+        none, t = np.full(bias.shape, np.nan), float(seen.t[-1])
+        force, force_sd = bias + noise - G * seen.towards, np.full(bias.shape, 0.05 * MG)
+        rests = Memory(seen.t, none[:, 0], force, force_sd, none, none, np.full(len(bias), G))
+        learnt = learn_accelerometer(rests, flat, None, t, SETTINGS)
+        assert learnt is not None
+        errors.append(learnt.bias - bias[-1])
+    assert np.sqrt(np.square(errors)[:, :2].mean()) < 4.0 * MG
 
 
 def test_a_large_knock_is_followed_within_hours() -> None:
