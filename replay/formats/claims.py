@@ -116,6 +116,15 @@ def claims_text(file: Path) -> bytes | None:
     return text if _may_be_claims(first) else None
 
 
+def holds_claims(file: Path) -> bool:
+    """Whether a file holds the maker's claims, whole. Raises TraceError where it cannot be read."""
+    text = claims_text(file)
+    try:
+        return text is not None and msgspec.json.decode(text, type=Claims) is not None
+    except NO_JSON:
+        return False
+
+
 def _may_be_claims(value: Any) -> bool:
     """Whether a value is an object with a field of claims, or none, without samples and a schema's number."""
     if not isinstance(value, dict) or "schema" in value or _holds_samples(value):

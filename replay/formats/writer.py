@@ -23,7 +23,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.daemon.store.atomic import led_to, write_atomically
-from stillcal.replay.formats.claims import Claims, Event, beside, claims_text, event_line
+from stillcal.replay.formats.claims import Claims, Event, beside, event_line, holds_claims
 from stillcal.replay.formats.errors import TraceError
 
 STANDARD_OUTPUT = Path("-")
@@ -84,7 +84,7 @@ class TraceWriter:
             remedy = "give a file's name, or '-' for standard output"
             raise TraceError(self.path, "is no regular file and is not replaced", remedy)
         claims = beside(self.path, ".json")
-        if self._side_files and self._claims is not None and claims.exists() and claims_text(claims) is None:
+        if self._side_files and self._claims is not None and claims.exists() and not holds_claims(claims):
             what = "would be replaced by the maker's claims, and is none"
             raise TraceError(claims, what, f"move it, or write {self.path.name} under another name")
         try:

@@ -87,6 +87,17 @@ def test_a_new_recording_does_not_keep_old_events(tmp_path: Path) -> None:
     assert open_trace(path).events == []
 
 
+@pytest.mark.parametrize("notes", ["my notes", '{"device": "X", ', '{"gravity": "ten"}'])
+def test_a_file_beside_that_is_no_whole_claims_is_not_written_over(tmp_path: Path, notes: str) -> None:
+    (tmp_path / "r.json").write_text(notes)
+    with (
+        pytest.raises(TraceError, match=r"r\.json: would be replaced"),
+        TraceWriter(tmp_path / "r.csv", claims=Claims(device="Y")),
+    ):
+        pass
+    assert (tmp_path / "r.json").read_text() == notes
+
+
 def test_an_error_leaves_nothing_behind_and_the_old_file_whole(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
     path.write_text("old")
