@@ -197,7 +197,8 @@ def load_map(name: str | Path) -> ColumnMap:
         return parse_map(inside.read_bytes(), Path(f"{name}.toml"))
     if not is_read_once(name) and not Path(name).exists():
         known = ", ".join(builtin_formats())
-        raise TraceError(name, "no such format", f"name one of {known}, or the path of a column map (TOML)")
+        remedy = f"name one of {known}, rest, or the path of a column map (TOML)"
+        raise TraceError(name, "no such format", remedy)
     path = Path(input_name(name))
     try:
         return parse_map(read_input(name, MOST_BYTES), path)

@@ -54,7 +54,9 @@ def test_the_map_printed_in_the_docs_is_valid() -> None:
 
 
 def test_an_unknown_format_names_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(TraceError, match=r"no such format; name one of .*csv, empatica, hhar, imu_tk"):
+    with pytest.raises(
+        TraceError, match=r"no such format; name one of .*csv, empatica, hhar, imu_tk.*, rest, or the path"
+    ):
         open_trace(tmp_path / "r.csv", "hharr")
 
 
