@@ -288,7 +288,7 @@ def _schema(value: dict[str, Any]) -> int:
     schema = value.get("schema", 0 if {"accel", "gyro"} & value.keys() else None)
     if isinstance(schema, bool) or not isinstance(schema, int) or schema < 0:
         raise StoreFormatError(Fault.FOREIGN, "JSON, but not a stillcal store")
-    if schema > SCHEMA:
+    if schema > SCHEMA and "checksum" in value:  # without one it is another document, such as a diagnosis
         detail = f"written by a later stillcal: schema {schema}, this version reads up to {SCHEMA}"
         raise StoreFormatError(Fault.NEWER, detail)
     if schema == 0 and "checksum" in value:
