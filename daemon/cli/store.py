@@ -152,7 +152,10 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
             refused = refusals(document.current, found, diagnosed)
         except KeyError as error:
             raise ValueError(f"{input_name(diagnosis)}: a finding lacks its {error.args[0]}") from error
-        except (ValueError, TypeError) as error:
+        except (TypeError, AttributeError) as error:
+            why = "a finding is not as stillcal diagnose --json writes it"
+            raise ValueError(f"{input_name(diagnosis)}: {why}") from error
+        except ValueError as error:
             raise ValueError(f"{input_name(diagnosis)}: {error}") from error
         store.publish(record, f"terms from {short_name(diagnosis)}")
     click.echo(

@@ -137,11 +137,12 @@ class Correction:
 
     def _check(self, parameter: Parameter, given: TermParameter) -> None:
         value = np.asarray(given.value)
-        if value.shape != parameter.shape or not np.isfinite(value).all():
+        if value.shape != parameter.shape:
             raise ValueError(
-                f"{self.effect}: {parameter.name} has shape {value.shape}:"
-                f" expected finite numbers, {parameter.shape}"
+                f"{self.effect}: {parameter.name} has shape {value.shape}: expected {parameter.shape}"
             )
+        if not np.isfinite(value).all():
+            raise ValueError(f"{self.effect}: {parameter.name} must be finite numbers")
         if (np.abs(value) > parameter.most).any():
             raise ValueError(
                 f"{self.effect}: {parameter.name} is {np.abs(value).max():g} {parameter.unit}:"

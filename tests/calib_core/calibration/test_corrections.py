@@ -299,7 +299,7 @@ def test_an_unknown_temperature_is_as_far_off_as_those_of_the_calibration(stretc
 
 BAD = [
     ("quadratic", [1.0, 0.0, 0.0], "at most"),
-    ("quadratic", [float("nan"), 0.0, 0.0], "finite"),
+    ("quadratic", [float("nan"), 0.0, 0.0], "quadratic must be finite numbers"),
     ("quadratic", [1e-4, 1e-4], "shape"),
     ("slope", [1e-4, 1e-4, 1e-4], "no parameter slope"),
 ]
@@ -394,6 +394,17 @@ def test_a_finding_that_is_cut_short_says_what_it_lacks(tmp_path: Path) -> None:
     diagnosis.write_text(json.dumps({"beginning": asdict(BEGINNING), "findings": [cut]}))
     said = CliRunner().invoke(store_group, ["adopt-terms", str(store), str(diagnosis)])
     assert (said.exit_code, said.output) == (2, f"stillcal: {diagnosis}: a finding lacks its where\n")
+
+
+@pytest.mark.parametrize("garbled", [{"parameters": "x"}, {"alternatives": [5]}, {"where": None}])
+def test_a_finding_that_is_garbled_is_refused_in_a_line(garbled: dict[str, object], tmp_path: Path) -> None:
+    store, diagnosis = tmp_path / "store.json", tmp_path / "day.json"
+    Store(store).publish(record("accel_warmup"))
+    found = finding("accel_warmup") | garbled
+    diagnosis.write_text(json.dumps({"beginning": asdict(BEGINNING), "findings": [found]}))
+    said = CliRunner().invoke(store_group, ["adopt-terms", str(store), str(diagnosis)])
+    why = "a finding is not as stillcal diagnose --json writes it"
+    assert (said.exit_code, said.output) == (2, f"stillcal: {diagnosis}: {why}\n")
 
 
 def test_a_warm_up_that_was_taken_up_is_taken_off_when_another_effect_follows() -> None:
