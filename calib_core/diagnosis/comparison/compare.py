@@ -64,7 +64,8 @@ GYROSCOPE_ONLY = ("gyro_bias", "gyro_scale", "gyro_slow_noise")
 
 def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
     """Compare a recording with a simulation. names: of both, for the reasons given."""
-    exams, had = (recorded, simulated), (wanted_of(recorded), wanted_of(simulated))
+    exams = recorded, simulated = _named_by(simulated, recorded), _named_by(recorded, simulated)
+    had = wanted_of(recorded), wanted_of(simulated)
     wanted, unlogged = _union(*had), not_logged.not_logged(exams, had, names)
     steady = excluded(exams, wanted, unlogged[1])
     unlogged = unlogged[0], [m for m in unlogged[1] if m not in steady]
@@ -97,6 +98,21 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
     )
     found = [replace(d, note=_assumed(d, steady, names)) for d in whole.discrepancies]
     return replace(whole, discrepancies=found, smallest=smallest)
+
+
+def _named_by(other: Examination, own: Examination) -> Examination:
+    """Return an examination without what has no name but may be an effect that the other one has by name.
+
+    It is measured as that effect then, and compared: beside a curve that may take any course, neither would
+    be known.
+    """
+    named = {(s.finding.effect, s.finding.sensor) for s in other.statements if s.finding.effect != "unknown"}
+
+    def is_named(finding: Finding) -> bool:
+        alike = {(a.effect, finding.sensor) for a in finding.alternatives if a.indistinguishable}
+        return finding.effect == "unknown" and not named.isdisjoint(alike)
+
+    return replace(own, statements=[s for s in own.statements if not is_named(s.finding)])
 
 
 def _without(wanted: Sequence[Wanted], missing: Sequence[NotLogged]) -> list[Wanted]:

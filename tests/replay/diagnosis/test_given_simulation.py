@@ -16,6 +16,8 @@ from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.model.records import Alternative
+from stillcal.calib_core.diagnosis.slow.findings import slow_statements
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.daemon.cli.main import cli
@@ -108,6 +110,20 @@ def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relatio
     assert holds(finding["parameters"]["slope"], SLOPE)
     assert holds(finding["simulated"]["slope"], share * SLOPE)
     assert 0.95 < finding["probability"] < 0.98 and "sim.csv" in finding["statement"]
+
+
+@pytest.mark.parametrize("of_recording", [False, True])
+def test_what_may_be_the_effect_that_the_other_one_names_is_compared_as_that(of_recording: bool) -> None:
+    """A curve without a name beside it left its size unknown in SIM, which had it and was told it has not."""
+    exams = [examination(real()), examination(simulated(1.5))]
+    own = exams[not of_recording]
+    (residuals,) = own.sensors
+    (nameless,) = slow_statements(residuals, without=["accel_bias_temperature"])
+    may_be = (Alternative("accel_bias_temperature", 1.0, True),)
+    finding = replace(nameless.finding, effect="unknown", alternatives=may_be)
+    exams[not of_recording] = replace(own, statements=[replace(nameless, finding=finding)])
+    (found,) = compare(*exams, ("real.csv", "sim.csv")).discrepancies
+    assert (found.effect, found.relation) == ("accel_bias_temperature", "too_large")
 
 
 @pytest.mark.slow
