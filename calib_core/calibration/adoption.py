@@ -35,8 +35,8 @@ from stillcal.calib_core.static.rest import forces
 from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import Sensor
 
-_WITH_THE_START_S = 1.0
-"""Sensors of a phone begin within a second of each other."""
+_WITH_THE_START = 0.25
+"""Of its time constant: a warm-up that is first seen later after the start is not followed back to it."""
 
 _NO_TERM = "a calibration has no correction for it"
 _ANEW = "it is over once the phone is calibrated anew"
@@ -120,7 +120,7 @@ def _supported(record: CalibrationRecord, finding: Mapping[str, Any], diagnosed:
         if part is None:
             raise NotSupported(f"the calibration is not of the {term.sensor}", [f"one of the {term.sensor}"])
         if correction.by_start:
-            _require_same_start(record, finding, diagnosed)
+            term = correction.from_start(term, _seen_after(record, term, finding, diagnosed))
         _require_drivers(record, term, _started(record))
     if term.sensor is Sensor.GYROSCOPE and record.gyroscope is not None:
         _turn_powers(record.gyroscope, term)
@@ -177,28 +177,31 @@ def _term(record: CalibrationRecord, finding: Mapping[str, Any]) -> Term:
     return correction.term(correction.sensor, finding, reference)
 
 
-def _require_same_start(
-    record: CalibrationRecord, finding: Mapping[str, Any], diagnosed: Beginning | None
-) -> None:
-    """Raise NotSupported where the calibration's rests do not count from what the finding counts from.
+def _seen_after(
+    record: CalibrationRecord, term: Term, finding: Mapping[str, Any], diagnosed: Beginning | None
+) -> float:
+    """Return how long after the start of the recording (s) a finding begins, from which its term counts.
 
-    It counts from the first sample that was diagnosed, and only the diagnosed recording is known to begin
-    when the sensors were switched on.
+    That is not 0 where the other sensor began first. Raises NotSupported where it is too late, or where the
+    calibration's rests are not known to count from the same start.
     """
-    effect, own = finding["effect"], record.provenance.beginning
+    own = record.provenance.beginning
     if diagnosed is None:
         raise NotSupported(
             "the diagnosis does not say when its recording began",
             ["a diagnosis of a recording by this version"],
         )
-    if finding["where"]["t_start"] - diagnosed.t > _WITH_THE_START_S:
+    after = float(finding["where"]["t_start"]) - diagnosed.t
+    if not after <= _WITH_THE_START * float(term.parameters["tau_s"].value):
         raise NotSupported(
             "only a part of the recording was diagnosed, which began later",
             ["a diagnosis without --from"],
         )
     if own is not None and own != diagnosed:
         name = record.provenance.source or "without a name"
-        raise NotSupported(f"the calibration is of another recording ({name})", [CORRECTIONS[effect].remedy])
+        remedy = CORRECTIONS[term.effect].remedy
+        raise NotSupported(f"the calibration is of another recording ({name})", [remedy])
+    return after
 
 
 def _at_states(record: CalibrationRecord, started: float | None) -> Drivers:

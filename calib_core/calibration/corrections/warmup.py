@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.corrections.base import (
     LARGEST_BIAS,
     PREFIX,
@@ -43,6 +44,16 @@ class Warmup(Correction):
     def unknown(self, term: Term, at: Drivers) -> Array:
         """Return the error of a bias that may be anywhere on its way."""
         return np.asarray(np.abs(term.parameters["amplitude"].value) / np.sqrt(3.0))
+
+    def from_start(self, term: Term, after: float) -> Term:
+        """Return the term with the larger amplitude that it had at the start."""
+        tau, amplitude = float(term.parameters["tau_s"].value), term.parameters["amplitude"]
+        more = np.exp(after / tau)
+        ci95 = None if amplitude.ci95 is None else frozen(more * amplitude.ci95)
+        then = replace(amplitude, value=frozen(more * amplitude.value), ci95=ci95)
+        earlier = replace(term, parameters=term.parameters | {"amplitude": then})
+        self.check(earlier)
+        return earlier
 
     def check(self, term: Term) -> None:
         """Refuse a time constant that is not positive, too: ValueError."""

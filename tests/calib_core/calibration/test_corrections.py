@@ -363,7 +363,7 @@ def test_what_has_nothing_to_count_from_is_refused_with_a_reason() -> None:
     ("diagnosed", "t_start", "why"),
     [
         (replace(BEGINNING, digest="another"), 0.0, r"of another recording \(day.csv\)"),
-        (replace(BEGINNING, t=-300.0), 0.0, "only a part of the recording was diagnosed"),
+        (BEGINNING, 300.0, "only a part of the recording was diagnosed"),
         (None, 0.0, "does not say when its recording began"),
     ],
 )
@@ -373,6 +373,16 @@ def test_a_warm_up_of_another_recording_of_the_same_name_is_refused(
     warming = finding("accel_warmup", where={"t_start": t_start, "t_end": 4800.0})
     with pytest.raises(NotSupported, match=why):
         with_terms(record("accel_warmup"), [warming], diagnosed)
+
+
+def test_a_warm_up_counts_from_the_start_where_the_other_sensor_began_first() -> None:
+    """It had decayed by a factor of exp(60 s / 900 s) when its own sensor began."""
+    late = finding("accel_warmup", where={"t_start": 60.0, "t_end": 4800.0})
+    (term,) = with_terms(record("accel_warmup"), [late], BEGINNING).terms
+    amplitude = term.parameters["amplitude"]
+    expected = np.exp(60.0 / 900.0) * CASES["accel_warmup"].parameters["amplitude"]
+    assert amplitude.value == pytest.approx(expected)
+    assert amplitude.ci95.mean(axis=-1) == pytest.approx(expected)
 
 
 def test_what_a_calibration_cannot_take_up_is_said_and_the_rest_is_taken_up(tmp_path: Path) -> None:
