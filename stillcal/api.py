@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import msgspec
+import numpy as np
 from numpy.typing import ArrayLike
 
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
@@ -273,8 +274,10 @@ def apply(
     on_for: s, how long the phone had been switched on when the recording began, which a warm-up follows; None
     counts as 0. The result's `notes` say what speaks against the calibration on this recording, or was
     assumed. `.save("true.csv")` writes the result. Raises UserError where the store cannot be read or holds
-    nothing.
+    nothing, ValueError where on_for is negative or not finite.
     """
+    if on_for is not None and not 0.0 <= on_for < np.inf:
+        raise ValueError(f"on_for is {on_for}: give how long the phone had been on, s, 0 or more")
     opened = load(recording)
     known = calibration if isinstance(calibration, Calibration) else Calibration.read(calibration)
     corrector = Corrector(known.record, opened.beginning, on_for)

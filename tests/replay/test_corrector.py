@@ -81,3 +81,9 @@ def test_a_phone_that_was_on_before_is_corrected_from_then_and_nothing_is_assume
     assert np.abs(force - TRUE).max() < 1e-6 and not said
     true = apply(log.with_name("late.csv"), Calibration(warming), on_for=5.0)
     assert np.abs(true.accelerometer.xyz - TRUE).max() < 1e-6 and not true.notes
+
+
+@pytest.mark.parametrize("on_for", [-1.0, float("nan"), float("inf")])
+def test_python_refuses_a_time_that_no_phone_can_have_been_on_for(on_for: float, log: Path) -> None:
+    with pytest.raises(ValueError, match="on_for is"):
+        apply(log, log.with_name("store.json"), on_for=on_for)
