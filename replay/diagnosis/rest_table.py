@@ -29,6 +29,7 @@ from stillcal.replay.diagnosis.phone.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import told_of_sensor
+from stillcal.replay.formats.rest_table import rounding_sd
 
 LEAST_UNCERTAINTY = 1e-4
 """m/s^2: the least uncertainty of a row's mean specific force, whether a table states less or none."""
@@ -91,6 +92,7 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
     start = np.array([r.t_start for r in rests])
     duration = np.maximum([r.duration for r in rests], 1.0)
     rate = _stacked([r.rate for r in rests])
+    rounding = 0.0 if rate is None else rounding_sd(rate)
     warm = [r.temperature for r in rests]
     return Bins(
         t=rising(start + duration / 2.0),
@@ -102,7 +104,8 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
         activity=np.stack([start, np.zeros(len(rests))], axis=1),
         span=(float(start.min()), float((start + duration).max())),
         rate=rate,
-        rate_variance=None if rate is None else _variances(rests),
+        rate_variance=None if rate is None else _variances(rests, rounding),
+        rate_rounding=None if rate is None else np.full(3, rounding),
         temperature=None if any(w is None for w in warm) else np.array(warm, dtype=np.float64),
         charging=_charging(rests),
     )
@@ -118,9 +121,11 @@ def _stacked(values: Sequence[Array | float | None]) -> Array | None:
     return None if any(v is None for v in values) else np.array(values, dtype=np.float64)
 
 
-def _variances(rests: Sequence[RestState]) -> Array:
+def _variances(rests: Sequence[RestState], rounding: float) -> Array:
+    """Return the variances (n, 3) of the mean rates beside that of their rounding, which stands by itself."""
     uncertainty = _stacked([r.rate_uncertainty for r in rests])
-    return np.maximum(0.0 if uncertainty is None else uncertainty, LEAST_RATE_UNCERTAINTY) ** 2
+    square = 0.0 if uncertainty is None else uncertainty**2 - rounding**2
+    return np.maximum(square, LEAST_RATE_UNCERTAINTY**2)
 
 
 def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:

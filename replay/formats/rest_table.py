@@ -49,10 +49,10 @@ def read_rest_table(found: Path | Source) -> list[RestState]:
     force_sd = _axes(columns, ("sax", "say", "saz"))
     if force_sd is None:
         counted = np.ones(len(force))
-        force_sd = np.full_like(force, _rounding(force))
+        force_sd = np.full_like(force, rounding_sd(force))
     else:
         counted = np.maximum(columns.get("n", np.ones(len(force))), 1.0)
-    rate_sd = np.zeros_like(force) if rate is None else np.full_like(rate, _rounding(rate))
+    rate_sd = np.zeros_like(force) if rate is None else np.full_like(rate, rounding_sd(rate))
     return [
         RestState(
             **_extent(columns, i),
@@ -114,7 +114,7 @@ def _temperature(columns: dict[str, Array], row: int) -> float | None:
     return None if value == EMPTY else float(value)
 
 
-def _rounding(values: Array) -> float:
+def rounding_sd(values: Array) -> float:
     """Return the standard uncertainty of numbers rounded to the decimals that they are printed with."""
     for decimals in range(_DECIMALS):
         scaled = values * 10.0**decimals

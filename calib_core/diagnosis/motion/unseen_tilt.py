@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.segments.orientation import GRAVITY, LONGEST_GAP, MOST_OF_BIAS
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import rest_edges
+from stillcal.calib_core.diagnosis.segments.value_grid import ROUNDED
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, without_gaps, without_spikes
 
 DRIVER = "jumps of gravity's direction that the gyroscope does not see (either may be at fault)"
@@ -52,9 +53,6 @@ UNSURE = 0.1
 
 TOGETHER = 20_000
 """Moments that are judged together, to bound memory."""
-
-ROUNDED = float(np.sqrt(12.0))
-"""A whole step of coarse values over the standard deviation of rounding to it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

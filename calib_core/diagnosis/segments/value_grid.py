@@ -11,6 +11,9 @@ from stillcal.calib_core.arrays import Array
 UNIT = {"accel": "m/s^2", "gyro": "rad/s"}
 COMB_SAMPLES = 20000
 
+ROUNDED = float(np.sqrt(12.0))
+"""A whole step of coarse values over the standard deviation of rounding to it."""
+
 FEW = 0.05
 """Part of the changes that may be smaller than the least one that counts."""
 

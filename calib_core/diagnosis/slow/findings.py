@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.value_grid import ROUNDED
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, evidence_of, parameters, tried
 from stillcal.calib_core.diagnosis.slow.form import departures_of, doubted
@@ -175,7 +176,7 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
     what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
     the others; names are then weighed anew. A name whose sizes are not told is taken off. A course that
-    may be a turn of the support is left out as well.
+    may be a turn of the support, or of the rounding of rates, is left out as well.
     """
     while kept := adequate(steps):
         if not _stands_alone(kept[-1].winner):
@@ -188,6 +189,10 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
             steps = _without(steps, turned[-1])
             continue
         estimates = [estimate(residuals, own, rest) for own, rest in zip(found, others, strict=True)]
+        rounded = [step for step, e in zip(kept, estimates, strict=True) if _within_a_code(residuals, e)]
+        if rounded:
+            steps = _without(steps, rounded[-1])
+            continue
         by_chance = [step for step, e in zip(kept, estimates, strict=True) if _by_chance(e, len(kept))]
         if by_chance:
             steps = _without(steps, by_chance[-1])
@@ -233,6 +238,23 @@ def _turns(residuals: SensorResiduals, own: Hypothesis, others: Sequence[Hypothe
     reduced = reduce_residuals(residuals, [own, turn], others)
     bias, motion = (fit_hypothesis(reduced, h).log_likelihood for h in (0, 1))
     return motion > bias - ACROSS
+
+
+def _within_a_code(residuals: SensorResiduals, found: Estimate) -> bool:
+    """Whether a course over time of the gyroscope's bias may be no larger than a step of coarse rates.
+
+    A mean that no noise dithers keeps to one code, and goes to the next where a bias that wanders, as every
+    bias does, comes across the border: its course is of the rounding, and may have any shape over time. Where
+    noise dithers, `rate_rounding` is nothing. An accelerometer's codes change with each attitude.
+    """
+    rounding = residuals.bins.rate_rounding
+    if residuals.sensor != "gyro" or residuals.turns or rounding is None:
+        return False
+    if "time" not in found.hypothesis.effect.follows:
+        return False
+    least = np.sign(found.value) * np.maximum(np.abs(found.value) - NORMAL_95 * found.sigma, 0.0)
+    swings = [float(np.ptp(columns[0] @ least)) for columns in found.hypothesis.columns]
+    return bool((np.array(swings) <= ROUNDED * rounding).all())
 
 
 def _unsized(found: Estimate) -> bool:

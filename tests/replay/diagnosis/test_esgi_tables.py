@@ -52,3 +52,21 @@ def test_rows_may_stand_in_any_order_and_share_a_time() -> None:
     assert mixed.temperature is not None and (np.diff(mixed.t) > 0.0).all()
     np.testing.assert_allclose(mixed.t, rest_bins(rests).t, atol=0.01)
     assert set(mixed.temperature[:2]) == {20.0, 21.0}
+
+
+@pytest.mark.parametrize(("jump", "found"), [(0.0, set())])
+def test_rates_of_few_digits_that_go_from_one_code_to_the_next_are_rounding(
+    tmp_path: Path, jump: float, found: set[str]
+) -> None:
+    """A bias that wanders across the border between two codes was an effect with two levels in time."""
+    rng = np.random.default_rng(6)
+    up = rng.normal(size=(40, 3))
+    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True) + rng.normal(size=(40, 3)) * 3e-4
+    at = np.arange(40)
+    rate = np.array([0.0102, -0.0204, 0.0045]) + rng.normal(size=(40, 3)) * 1e-5
+    rate[:, 2] += 6e-5 * np.sin(at / 4.0) + jump * (at > 22)
+    table = tmp_path / "rests.csv"
+    rows = np.column_stack([30.0 * at, force, np.round(rate, 3)])
+    np.savetxt(table, rows, delimiter=",", header="t,ax,ay,az,gx,gy,gz", comments="")
+    answer = diagnose_rests(read_rest_table(table), "rests.csv")
+    assert {f["effect"] for f in answer["findings"]} == found
