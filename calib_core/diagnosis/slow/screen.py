@@ -139,8 +139,10 @@ class _Whitened:
         (y,), (part,) = projected(whitened[None], self.view.baseline.shape[2], int(seen.sum()))
         x = np.zeros((y.size, seen.size))
         x[:, seen] = part
-        left = float(y @ y) / max(y.size - self.view.parameters, 1)
-        return y @ x, x, left if left > 0.0 else 1.0  # values that never change leave nothing
+        freedom = max(y.size - self.view.parameters, 1)
+        # Values that never change leave nothing: the scale is then the least that its prior allows.
+        least = self.view.known / (self.view.known + freedom)
+        return y @ x, x, max(float(y @ y) / freedom, least)
 
 
 def _gains(views: Sequence[_Whitened], many: Dictionary, c: int, size: float) -> Array:

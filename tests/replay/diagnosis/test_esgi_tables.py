@@ -54,7 +54,7 @@ def test_rows_may_stand_in_any_order_and_share_a_time() -> None:
     assert set(mixed.temperature[:2]) == {20.0, 21.0}
 
 
-@pytest.mark.parametrize(("jump", "found"), [(0.0, set())])
+@pytest.mark.parametrize(("jump", "found"), [(0.0, set()), (0.004, {"gyro_bias_step"})])
 def test_rates_of_few_digits_that_go_from_one_code_to_the_next_are_rounding(
     tmp_path: Path, jump: float, found: set[str]
 ) -> None:
