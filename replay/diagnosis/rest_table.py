@@ -58,7 +58,7 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
     if len(rests) < LEAST_ROWS:
         raise NotSupported(f"{len(rests)} rests", (f"at least {LEAST_ROWS}, in different attitudes",))
     claims, timed = claims or Claims(), _timed(rests)
-    exam = _examined(merged(rest_bins(rests)), claims, timed=timed)
+    exam = _examined(merged(rest_bins(_with_temperature(rests))), claims, timed=timed)
     before = compare_with_ideal(exam)
     fit = Fit.of(before, before)
     if before.discrepancies:
@@ -66,6 +66,12 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
         corrected, left_out = _without_effects(exam.bins, findings, claims.gravity)
         fit = Fit.of(before, compare_with_ideal(_examined(corrected, claims, timed=timed)), left_out)
     return answer_of(before, (name, BUILT_IN), fit, {}, exam.bins.temperature)
+
+
+def _with_temperature(rests: Sequence[RestState]) -> Sequence[RestState]:
+    """Return the rests whose temperature is known where most are such; one without would cost them all."""
+    known = [r for r in rests if r.temperature is not None]
+    return known if len(known) >= max(LEAST_ROWS, len(rests) / 2) else rests
 
 
 def _without_effects(bins: Bins, findings: Sequence[Finding], gravity: float) -> tuple[Bins, list[str]]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
@@ -70,3 +71,16 @@ def test_rates_of_few_digits_that_go_from_one_code_to_the_next_are_rounding(
     np.savetxt(table, rows, delimiter=",", header="t,ax,ay,az,gx,gy,gz", comments="")
     answer = diagnose_rests(read_rest_table(table), "rests.csv")
     assert {f["effect"] for f in answer["findings"]} == found
+
+
+def test_a_row_without_a_temperature_does_not_cost_that_of_the_others() -> None:
+    rng = np.random.default_rng(8)
+    up = rng.normal(size=(20, 3))
+    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True) + rng.normal(size=(20, 3)) * 1e-4
+    warm = 20.0 + 9.0 * np.sin(np.arange(20))
+    kelvin = [None if i in {4, 11} else float(w) for i, w in enumerate(warm)]
+    rests = [
+        structs.replace(rest(60.0 * i, t), specific_force=f + np.array([0.0, 0.0, 0.004 * (w - 20.0)]))
+        for i, (t, f, w) in enumerate(zip(kelvin, force, warm, strict=True))
+    ]
+    assert [f["effect"] for f in diagnose_rests(rests, "rests.csv")["findings"]] == ["accel_bias_temperature"]
