@@ -35,7 +35,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
-from stillcal.calib_core.diagnosis.slow.findings import Stated, turn_statements
+from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.nameless_tilt import beyond, nameless_tilt
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
@@ -189,7 +189,7 @@ def examine(
     progress(MEASURED)
     for done, residuals in enumerate(slow_residuals):
         if search and not _is_of(spoiled, residuals.sensor):
-            slow_residuals[done], found = searched(residuals, without)
+            slow_residuals[done], found = searched(residuals, partial(slow_statements, without=without))
             stated += found
         progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(slow_residuals))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, slow_residuals, None, None, stated,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,12 @@ from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.sensitivity import follows_time
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.merged_rests import merged, rising
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
 from stillcal.calib_core.errors import NotSupported
@@ -139,11 +141,17 @@ def _examined(bins: Bins, claims: Claims, *, timed: bool) -> Examination:
     none = Samples.checked(Sensor.ACCELEROMETER, np.empty(0), np.empty((0, 3)))
     made = about_nonlinearity(by_sensor(bins, claims.gravity))
     statements: list[Stated] = []
-    for residuals in made:
-        effects = [e for e in effects_of(residuals.sensor) if timed or not follows_time(e.follows)]
-        statements += statements_of(residuals, forward(residuals, effects))
+    for done, residuals in enumerate(made):
+        made[done], found = searched(residuals, partial(_stated, timed=timed))
+        statements += found
     gyroscope = None if bins.rate is None else replace(none, sensor=Sensor.GYROSCOPE)
     return Examination(none, gyroscope, claims, bins, [], made, None, None, statements, timed)
+
+
+def _stated(residuals: SensorResiduals, *, timed: bool) -> list[Stated]:
+    """Return what the rows show of one sensor; without times nothing that follows time is looked for."""
+    effects = [e for e in effects_of(residuals.sensor) if timed or not follows_time(e.follows)]
+    return statements_of(residuals, forward(residuals, effects))
 
 
 def _timed(rests: Sequence[RestState]) -> bool:

@@ -13,7 +13,7 @@ noise. So what a search finds is the point of a second search.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,15 +43,15 @@ def about_nonlinearity(sensors: Sequence[SensorResiduals]) -> list[SensorResidua
 
 
 def searched(
-    residuals: SensorResiduals, without: Collection[str] = ()
+    residuals: SensorResiduals, search: Callable[[SensorResiduals], list[Stated]] = slow_statements
 ) -> tuple[SensorResiduals, list[Stated]]:
-    """Return what the still bins of one sensor show, and the residuals about that point.
+    """Return what a search states of the still bins of one sensor, and the residuals about that point.
 
-    without: effects that are left out of the catalogue. The point is that of a first search's named effects.
+    The point is that of a first search's named effects.
     """
-    stated = slow_statements(residuals, without)
+    stated = search(residuals)
     made = _about(residuals, _point(residuals, stated)) if residuals.sensor == "accel" else residuals
-    return made, stated if made is residuals else slow_statements(made, without)
+    return made, stated if made is residuals else search(made)
 
 
 def _nonlinearity(residuals: SensorResiduals) -> list[Hypothesis]:

@@ -84,3 +84,20 @@ def test_a_row_without_a_temperature_does_not_cost_that_of_the_others() -> None:
         for i, (t, f, w) in enumerate(zip(kelvin, force, warm, strict=True))
     ]
     assert [f["effect"] for f in diagnose_rests(rests, "rests.csv")["findings"]] == ["accel_bias_temperature"]
+
+
+def test_a_large_slope_over_temperature_is_the_point_of_a_second_search() -> None:
+    """Residuals are linear in small errors; about nothing found the slope is off by its interval."""
+    rng = np.random.default_rng(12)
+    up = rng.normal(size=(24, 3))
+    warm = 25.0 + 45.0 * np.sin(np.arange(24) / 4.0)
+    slope = np.array([0.005, -0.003, 0.004])
+    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True) + rng.normal(size=(24, 3)) * 1e-4
+    force += np.outer(warm - 25.0, slope)
+    rests = [
+        structs.replace(rest(60.0 * i, float(t)), specific_force=f)
+        for i, (t, f) in enumerate(zip(warm, force, strict=True))
+    ]
+    (found,) = diagnose_rests(rests, "rests.csv")["findings"]
+    assert found["effect"] == "accel_bias_temperature"
+    np.testing.assert_allclose(found["parameters"]["slope"]["value"], slope, atol=1e-5)
