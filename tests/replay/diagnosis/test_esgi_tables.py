@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.slow.screen import screened
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
 from stillcal.replay.formats.rest_table import read_rest_table
@@ -55,22 +59,32 @@ def test_rows_may_stand_in_any_order_and_share_a_time() -> None:
     assert set(mixed.temperature[:2]) == {20.0, 21.0}
 
 
-@pytest.mark.parametrize(("jump", "found"), [(0.0, set()), (0.004, {"gyro_bias_step"})])
-def test_rates_of_few_digits_that_go_from_one_code_to_the_next_are_rounding(
-    tmp_path: Path, jump: float, found: set[str]
-) -> None:
-    """A bias that wanders across the border between two codes was an effect with two levels in time."""
+def few_digits(jump: float) -> list[RestState]:
+    """Return 40 rests with rates of three digits: z keeps to two codes and jumps at 675 s, x and y to one."""
     rng = np.random.default_rng(6)
     up = rng.normal(size=(40, 3))
     force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True) + rng.normal(size=(40, 3)) * 3e-4
     at = np.arange(40)
     rate = np.array([0.0102, -0.0204, 0.0045]) + rng.normal(size=(40, 3)) * 1e-5
     rate[:, 2] += 6e-5 * np.sin(at / 4.0) + jump * (at > 22)
-    table = tmp_path / "rests.csv"
-    rows = np.column_stack([30.0 * at, force, np.round(rate, 3)])
-    np.savetxt(table, rows, delimiter=",", header="t,ax,ay,az,gx,gy,gz", comments="")
-    answer = diagnose_rests(read_rest_table(table), "rests.csv")
-    assert {f["effect"] for f in answer["findings"]} == found
+    sd = np.full(3, 1e-3 / 12**0.5)
+    return [
+        structs.replace(rest(30.0 * i), specific_force=f, rate=w, rate_uncertainty=sd)
+        for i, (f, w) in enumerate(zip(force, np.round(rate, 3), strict=True))
+    ]
+
+
+def test_rates_of_few_digits_that_go_from_one_code_to_the_next_are_rounding() -> None:
+    """A bias that wanders across the border between two codes was an effect with two levels in time."""
+    assert diagnose_rests(few_digits(0.0), "rests.csv")["findings"] == []
+
+
+def test_axes_that_keep_to_one_code_do_not_hide_a_step_of_the_other() -> None:
+    """Curves were scaled by what is left of such an axis, 1e-34 of its noise; others were lost beside it."""
+    made = by_sensor(rest_bins(few_digits(0.01)), 9.80665)[1]
+    empty = reduce_residuals(made, [nothing(made)])
+    tried = [h.grid["t_start"] for h in screened(made, [Step("gyro")], empty, [])]
+    assert np.abs(np.array(tried) - 683.0).min() < 15.0
 
 
 def test_a_row_without_a_temperature_does_not_cost_that_of_the_others() -> None:
