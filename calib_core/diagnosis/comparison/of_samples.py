@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from stillcal.calib_core.diagnosis.comparison import noise, not_logged
 from stillcal.calib_core.diagnosis.comparison.direct import (
+    ALIKE,
     MEASURED_ELSEWHERE,
     direct_statements,
     partner,
@@ -110,7 +113,7 @@ def differences_of_samples(
             if pair is not None:
                 both += _paired(finding, pair) if of_recording else []
                 continue
-            measured = same_step(finding, exams[other])
+            measured = same_step(finding, exams[other]) or _same_rate(finding, exams[1 - other], exams[other])
             if measured is not None:
                 both += _paired(*((finding, measured) if of_recording else (measured, finding)))
                 continue
@@ -124,6 +127,20 @@ def differences_of_samples(
             else:
                 sole.append((finding, of_recording))
     return both, sole, unseen
+
+
+def _same_rate(finding: Finding, own: Examination, other: Examination) -> Finding | None:
+    """Return an error of the clock's rate that is the nominal rate's, where the other has the same rate.
+
+    Where deliveries stall, the error may be no finding, and the rates are alike all the same. None where the
+    other's rate is another one, or where the host's time shows the error.
+    """
+    nominal = own.claims.nominal_rate_hz
+    if finding.effect != "clock_skew" or not nominal or other.claims.nominal_rate_hz != nominal:
+        return None
+    relative = float(np.asarray(finding.parameters["relative"].value))
+    errors = [float(np.exp(noise.rate(e.accelerometer).value[0])) / nominal - 1.0 for e in (own, other)]
+    return finding if max(abs(e - relative) for e in errors) <= ALIKE * abs(relative) else None
 
 
 def _too_small(finding: Finding, own: Examination, other: Examination) -> str | None:

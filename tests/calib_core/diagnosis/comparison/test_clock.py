@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.formats.trace import Recording
 from tests.support import report_days
@@ -40,3 +43,20 @@ def test_the_scale_of_the_gyroscope_is_that_at_the_hosts_time() -> None:
         )
         stretched = replace(recording, accelerometer=accelerometer, gyroscope=gyroscope)
         assert true.diagonal() - gyro_scale(stretched).diagonal() == pytest.approx(off, abs=FAST / 5.0)
+
+
+def at_rest(rate: float, seed: int) -> Examination:
+    """Return a phone on a table for two minutes, whose rate is 200 Hz by its maker."""
+    t = np.arange(0.0, 120.0, 1.0 / rate)
+    xyz = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(seed).normal(0.0, 0.02, (t.size, 3))
+    samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
+    return examine(samples, None, claims=Claims(nominal_rate_hz=200.0))
+
+
+@pytest.mark.parametrize(("rate", "alone"), [(199.4, False), (199.9, True)])
+def test_a_rate_that_is_not_the_nominal_one_is_both_s_where_both_have_it(rate: float, alone: bool) -> None:
+    """Where deliveries stall for a while the error is not stated: it was told as the other one's alone."""
+    stalled, even = replace(at_rest(rate, 1), statements=[]), at_rest(199.4, 2)
+    assert [s.finding.effect for s in even.statements] == ["clock_skew"]
+    found = compare(stalled, even, ("a", "b")).discrepancies
+    assert ("clock_skew" in {d.effect for d in found}) == alone
