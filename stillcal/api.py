@@ -25,12 +25,14 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
-from stillcal.calib_core.codec import jsonable
+from stillcal.calib_core.codec import from_plain, jsonable
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
+from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import warmed
 from stillcal.calib_core.streams.smoothing import smoothed
 from stillcal.daemon.store.document import calibration_json
@@ -207,6 +209,20 @@ class Calibration:
         )
         turns = () if self.gyroscope is None else self.gyroscope.missing
         return (*refused, *turns)
+
+    def adopt(self, diagnosis: Diagnosis) -> Calibration:
+        """Return the calibration with corrections that a diagnosis found, as `stillcal store adopt-terms`.
+
+        The diagnosis must be of the same phone; a warm-up is taken up only from a diagnosis of the recording
+        that was calibrated. `record.terms` says which effects are corrected now. `apply` uses them, and
+        `save` keeps the calibration without them in the history. Raises NotSupported where none of the
+        findings can be taken up, and says why.
+        """
+        began = diagnosis.answer.get("beginning")
+        diagnosed = None if began is None else from_plain(began, Beginning)
+        record = with_terms(self.record, diagnosis.findings, diagnosed)
+        t = 0.0 if record.fitted_at is None else record.fitted_at
+        return Calibration(record, None, (*self._actions, Publish(t, record, "terms from a diagnosis")))
 
     def save(self, path: PathLike) -> None:
         """Put the calibration into a store, a JSON file, as `stillcal replay --store` does.

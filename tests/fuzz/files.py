@@ -89,9 +89,8 @@ def _feed_diagnosis(data: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "day.json"
         path.write_bytes(data)
-        with contextlib.suppress(
-            ValueError, KeyError, TypeError, AttributeError
-        ):  # adopt-terms makes one line of these
+        refused = (ValueError, KeyError, TypeError, AttributeError)  # adopt-terms makes one line of these
+        with contextlib.suppress(*refused):
             render(StoreDocument(current=with_terms(_warm_record(), *_findings(path))))
 
 

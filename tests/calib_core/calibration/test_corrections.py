@@ -17,6 +17,7 @@ import pytest
 from click.testing import CliRunner
 from msgspec.structs import replace as replaced
 
+from stillcal.api import Calibration, Diagnosis
 from stillcal.calib_core.accelerometer.parameters import basis, inverse, names
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.adoption import with_terms
@@ -395,6 +396,16 @@ def test_what_a_calibration_cannot_take_up_is_said_and_the_rest_is_taken_up(tmp_
     assert said.exit_code == 0 and "now corrects accel_charging_bias\n" in said.output
     assert "not taken up: gyro_warmup: the diagnosis does not say when its recording began" in said.output
     assert "not taken up: accel_nonlinearity: the simulation has it, and the recording does" in said.output
+
+
+def test_python_adopts_as_the_command_does(tmp_path: Path) -> None:
+    found = {"beginning": asdict(BEGINNING), "findings": [finding("accel_warmup")]}
+    taken = Calibration(record("accel_warmup")).adopt(Diagnosis(found))
+    assert taken.record.id == adopted("accel_warmup").id
+    Store(tmp_path / "store.json").publish(record("accel_warmup"))
+    Calibration.read(tmp_path / "store.json").adopt(Diagnosis(found)).save(tmp_path / "store.json")
+    assert Store(tmp_path / "store.json").load().current.terms
+    assert not Store(tmp_path / "store.json").rollback().document.current.terms
 
 
 def test_a_finding_that_is_cut_short_says_what_it_lacks(tmp_path: Path) -> None:
