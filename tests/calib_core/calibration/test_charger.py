@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from msgspec import structs
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.calibration import bias_curve
 from stillcal.calib_core.calibration.bias_curve import DROPPED, TAKEN_UP, held_term, learn_gyroscope
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import lag_of
@@ -165,6 +167,39 @@ def test_the_charger_takes_over_where_a_thermometer_falls_silent_and_gives_way_w
     _, changes = followed(bias, events, 4, heard)
     assert ["charging" in change for change in changes] == [False, True, False]
     assert all(TAKEN_UP in change for change in changes)
+
+
+CHOICES = [
+    # silent, doubt, followed no longer since, what the charger's fit decides, which fit is used
+    (True, "", None, TAKEN_UP, "charger"),
+    (True, "", None, "", "thermometer"),
+    (False, "its readings mislead", None, TAKEN_UP, "charger"),
+    (False, "", 3600.0, TAKEN_UP, "charger"),
+    (False, "", 3600.0, "", "thermometer"),
+    (False, "", None, TAKEN_UP, "thermometer"),
+]
+
+
+@pytest.mark.parametrize(("silent", "doubt", "since", "change", "used"), CHOICES)
+def test_the_charger_is_asked_where_the_thermometer_failed_and_used_where_it_is_taken_up(
+    silent: bool, doubt: str, since: float | None, change: str, used: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Silent or doubted now, or doubted before and no curve followed since."""
+
+    def learn_by(sensor: Sensor, seen: object, driver: SimpleNamespace, **_: object) -> SimpleNamespace:
+        by_charger = driver.name == "charger"
+        decided = {"doubt": "", "change": change} if by_charger else {"doubt": doubt, "change": ""}
+        return SimpleNamespace(term=None, name=driver.name, **decided)
+
+    for name in ("thermometer", "charger"):
+        driver = SimpleNamespace(name=name, mostly_known=True, silent=silent)
+        monkeypatch.setattr(bias_curve, f"by_{name}", lambda memory, driver=driver: driver)
+    monkeypatch.setattr(bias_curve, "_learn_by", learn_by)
+    monkeypatch.setattr(bias_curve, "_with_unfollowed", lambda learnt, *_, **__: learnt)
+    monkeypatch.setattr(bias_curve, "_with_unseen", lambda learnt, _: learnt)
+    known = SimpleNamespace(terms=(), forecast={str(GYRO): SimpleNamespace(unfollowed_since=since)})
+    learnt = bias_curve._learn(GYRO, None, None, middle=None, record=known, t=0.0, settings=SETTINGS)
+    assert learnt.name == used
 
 
 def lived(engine: Engine, rests: list[RestState], events: list[Charging], *, saved: bool = False) -> Engine:
