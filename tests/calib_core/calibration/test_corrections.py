@@ -398,6 +398,22 @@ def test_what_a_calibration_cannot_take_up_is_said_and_the_rest_is_taken_up(tmp_
     assert "not taken up: accel_nonlinearity: the simulation has it, and the recording does" in said.output
 
 
+def test_what_was_learnt_since_goes_with_the_adoption() -> None:
+    """Only the sensor's own forecast goes; its rate's bias is that of the newest rest, less the effect."""
+    learnt = {str(ACCEL): object(), str(GYRO): object()}
+    force = with_terms(
+        replace(record("accel_nonlinearity"), forecast=learnt), [finding("accel_nonlinearity")], BEGINNING
+    )
+    assert force.forecast.keys() == {str(GYRO)}
+    rate = with_terms(
+        replace(record("gyro_charging_bias"), forecast=learnt), [finding("gyro_charging_bias")], BEGINNING
+    )
+    assert rate.forecast.keys() == {str(ACCEL)}
+    last = rate.states[-1]
+    step = CASES["gyro_charging_bias"].parameters["step"]
+    assert rate.gyroscope.bias == pytest.approx(last.rate - last.charging * step, rel=1e-12)
+
+
 def test_python_adopts_as_the_command_does(tmp_path: Path) -> None:
     found = {"beginning": asdict(BEGINNING), "findings": [finding("accel_warmup")]}
     taken = Calibration(record("accel_warmup")).adopt(Diagnosis(found))
