@@ -370,6 +370,8 @@ def diagnose(
     Raises NotSupported where there is too little data, ValueError where the phone cannot be had, arguments
     exclude each other or a covariate has another length.
     """
+    if isinstance(witnesses, str | os.PathLike | Recording) or is_table(witnesses):
+        raise TypeError("witnesses are recordings in a list, also where it is one")
     others = tuple(witnesses)
     given = {"simulated": simulated is not None, "phone": phone is not None, "paired": paired}
     if covariates is not None and not is_table(covariates):

@@ -262,6 +262,13 @@ def test_a_table_that_cannot_be_used_is_refused_in_one_line(fault: str) -> None:
     assert "\n" not in str(refused.value)
 
 
+@pytest.mark.parametrize("one", [SAMPLE, Path("other.csv"), {"t": [0.0]}])
+def test_one_witness_without_a_list_is_refused(one: Any, sample: stillcal.Recording) -> None:
+    for witness in (one, sample):
+        with pytest.raises(TypeError, match="witnesses are recordings in a list"):
+            stillcal.diagnose(sample, witnesses=witness)
+
+
 def test_other_faults_are_refused_too(sample: stillcal.Recording, tmp_path: Path) -> None:
     with pytest.raises(stillcal.UserError, match="no such sample; give one of sample:lab"):
         stillcal.load("sample:nothing")
