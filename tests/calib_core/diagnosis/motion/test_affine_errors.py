@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.motion.affine_errors import affine_columns
 
-T = np.arange(0.0, 1.0, 0.001)
+T = np.arange(0.0, 1.0, 0.01)
 RATE = np.column_stack([0.8 * np.cos(3 * T), 0.5 * np.sin(2 * T), 0.6 + 0.0 * T])
 UP = np.array([2.0, -3.0, 9.1])
 
 
 def turned_back(rate: Array) -> Array:
     """Return the rotations (n, 3, 3) from the body at T to the body at the beginning."""
-    steps = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * 0.001)
+    steps = Rotation.from_rotvec(0.5 * (rate[1:] + rate[:-1]) * 0.01)
     back = [Rotation.identity()]
     for step in steps:
         back.append(back[-1] * step)
