@@ -184,8 +184,9 @@ def test_what_cannot_be_applied_is_refused(record: CalibrationRecord, bad: list)
 
 
 def test_malformed_findings_and_rests_without_temperature_are_refused(record: CalibrationRecord) -> None:
-    with pytest.raises(ValueError, match="expected finite"):
-        with_terms(record, [finding(np.ones(2))])
+    for slope, why in ((np.ones(2), r"shape \(2,\): expected \(3,\)"), (np.full(3, np.nan), "finite")):
+        with pytest.raises(ValueError, match=why):
+            with_terms(record, [finding(slope)])
     cold = replace(record, states=(), validity=type(record.validity)())
     with pytest.raises(NotSupported, match="no temperature"):
         with_terms(cold, [finding(SLOPE)])
