@@ -25,14 +25,13 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.calibration.adoption import with_terms
+from stillcal.calib_core.calibration.adoption import beginning_of, with_terms
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
-from stillcal.calib_core.codec import from_plain, jsonable
+from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.settings import EngineSettings
 from stillcal.calib_core.errors import NotSupported, UserError
-from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.calib_core.streams.samples import warmed
 from stillcal.calib_core.streams.smoothing import smoothed
 from stillcal.daemon.store.document import calibration_json
@@ -218,9 +217,7 @@ class Calibration:
         `save` keeps the calibration without them in the history. Raises NotSupported where none of the
         findings can be taken up, and says why.
         """
-        began = diagnosis.answer.get("beginning")
-        diagnosed = None if began is None else from_plain(began, Beginning)
-        record = with_terms(self.record, diagnosis.findings, diagnosed)
+        record = with_terms(self.record, diagnosis.findings, beginning_of(diagnosis.answer))
         t = 0.0 if record.fitted_at is None else record.fitted_at
         return Calibration(record, None, (*self._actions, Publish(t, record, "terms from a diagnosis")))
 
@@ -271,8 +268,9 @@ def calibrate(
         needed = () if outcome.refusal is None else outcome.refusal.missing
         reason = why_not(outcome) if outcome.refusal is None else outcome.refusal.reason
         raise NotSupported(f"{opened.name}: no calibration: {reason}", needed)
-    kept = [replace(a, record=from_recording(a.record, opened.name, opened.beginning)) for a in full(actions)]
-    return Calibration(from_recording(record, opened.name, opened.beginning), outcome, tuple(kept))
+    name, beginning = opened.name, opened.beginning
+    kept = [replace(a, record=from_recording(a.record, name, beginning)) for a in full(actions)]
+    return Calibration(from_recording(record, name, beginning), outcome, tuple(kept))
 
 
 def apply(

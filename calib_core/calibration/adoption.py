@@ -28,6 +28,7 @@ from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.calibration.rest_pool import HeldRest, Pool
 from stillcal.calib_core.calibration.terms import compensated
+from stillcal.calib_core.codec import from_plain
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.gravity import Gravity
 from stillcal.calib_core.gyroscope.bias import BiasEstimate, bias_from_rests
@@ -57,6 +58,15 @@ def refusal(finding: Mapping[str, Any]) -> str:
         return "the simulation has it, and the recording does not show it"
     alike = [a["effect"] for a in finding.get("alternatives", ()) if a.get("indistinguishable")]
     return f"{' or '.join(alike)} fits as well" if alike else ""
+
+
+def beginning_of(answer: Mapping[str, Any]) -> Beginning | None:
+    """Return when the recording of a diagnosis (its JSON) began; None where that does not say it.
+
+    Raises ValueError where it is malformed.
+    """
+    began = answer.get("beginning")
+    return None if began is None else from_plain(began, Beginning)
 
 
 def refusals(

@@ -18,11 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.adoption import refusals, with_terms
+from stillcal.calib_core.calibration.adoption import beginning_of, refusals, with_terms
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term, lag_of
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
-from stillcal.calib_core.codec import from_plain
 from stillcal.calib_core.streams.beginning import Beginning
 from stillcal.daemon.cli.exits import BAD_INPUT, DAMAGED
 from stillcal.daemon.cli.lazy import OpenGroup, examples
@@ -170,9 +169,7 @@ def _findings(path: Path) -> tuple[list[dict[str, Any]], Beginning | None]:
     data = read_input(path, MAX_BYTES)
     try:
         answer = json.loads(data.decode("utf-8"))
-        findings = [dict(finding) for finding in answer["findings"]]
-        began = answer.get("beginning")
-        return findings, None if began is None else from_plain(began, Beginning)
+        return [dict(finding) for finding in answer["findings"]], beginning_of(answer)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise ValueError("not a diagnosis: write one with stillcal diagnose --json") from error
 

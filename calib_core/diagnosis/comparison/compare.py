@@ -112,7 +112,9 @@ def _named_by(other: Examination, own: Examination) -> Examination:
         alike = {(a.effect, finding.sensor) for a in finding.alternatives if a.indistinguishable}
         return finding.effect == "unknown" and not named.isdisjoint(alike)
 
-    return replace(own, statements=[s for s in own.statements if not is_named(s.finding)])
+    kept = [s for s in own.statements if not is_named(s.finding)]
+    # As it is, it keeps what was worked out of it.
+    return own if len(kept) == len(own.statements) else replace(own, statements=kept)
 
 
 def _without(wanted: Sequence[Wanted], missing: Sequence[NotLogged]) -> list[Wanted]:
