@@ -25,14 +25,9 @@ from stillcal.calib_core.calibration.acceptance import (
     stated_uncertainty,
     sums_by_block,
 )
-from stillcal.calib_core.calibration.bias_curve import (
-    BLOCK_S,
-    NEWEST_HOURS,
-    Learnt,
-    is_thermal,
-    learn_accelerometer,
-    told_curve,
-)
+from stillcal.calib_core.calibration.bias_curve.evidence import BLOCK_S, NEWEST_HOURS
+from stillcal.calib_core.calibration.bias_curve.learn import learn_accelerometer
+from stillcal.calib_core.calibration.bias_curve.learnt import Learnt, is_thermal, told_curve
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.known_faces import inherit_rotation

@@ -3,7 +3,7 @@
 A diagnosis fits a term to the rests that it saw. Whether the calibration takes the term up is decided by
 later rests: each is predicted from the rests before it, with the term and without. The term is taken up
 where they are predicted better by more than chance, hour by hour, and one in use is dropped where they are
-predicted worse. Temperature needs no trial: its curve is fitted at every check (bias_curve.py).
+predicted worse. Temperature needs no trial: its curve is fitted at every check (calibration/bias_curve).
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.acceptance import flipped_share
-from stillcal.calib_core.calibration.bias_curve import BLOCK_S, DROPPED, TAKEN_UP, Learnt, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.evidence import BLOCK_S
+from stillcal.calib_core.calibration.bias_curve.learn import learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learnt import DROPPED, TAKEN_UP, Learnt
 from stillcal.calib_core.calibration.corrections.catalogue import ADOPTABLE, CORRECTIONS, check_terms
 from stillcal.calib_core.calibration.corrections.term import Term
 from stillcal.calib_core.calibration.drift_check import QualitySettings

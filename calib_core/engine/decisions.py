@@ -16,7 +16,8 @@ import numpy as np
 
 from stillcal.calib_core.calibration.acceptance import with_remark
 from stillcal.calib_core.calibration.adoption import terms_of
-from stillcal.calib_core.calibration.bias_curve import Learnt, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learn import learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learnt import Learnt
 from stillcal.calib_core.calibration.candidate import (
     inherit_scale,
     with_rotation_bound,

@@ -2,7 +2,7 @@
 
 A thermometer and a sensor seldom sit in one place: while the phone warms up, one runs ahead of the other. A
 sensor that follows the thermometer with a lag has the temperature of a first-order filter of its readings.
-The lag is one of LAGS_S, or none; which one, the rests decide (calibration/bias_curve.py).
+The lag is one of LAGS_S, or none; which one, the rests decide (calibration/bias_curve).
 """
 
 from __future__ import annotations

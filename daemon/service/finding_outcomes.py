@@ -22,7 +22,7 @@ _SENSORS = {"accel": Sensor.ACCELEROMETER, "gyro": Sensor.GYROSCOPE}
 """Sensors by their names in a diagnosis."""
 
 _LEARNT = ("_bias_temperature", BY_CHARGING)
-"""Ends of the names of effects that are learnt at every check (bias_curve.py)."""
+"""Ends of the names of effects that are learnt at every check (calibration/bias_curve)."""
 
 _ANEW = "no need, the bias is measured anew at every check"
 _WHY_NOT = {

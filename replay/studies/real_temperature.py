@@ -19,12 +19,8 @@ import click
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.bias_curve import (
-    LEAST_RESTS,
-    Learnt,
-    learn_accelerometer,
-    learn_gyroscope,
-)
+from stillcal.calib_core.calibration.bias_curve.learn import LEAST_RESTS, learn_accelerometer, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learnt import Learnt
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.engine import Engine

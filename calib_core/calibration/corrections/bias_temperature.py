@@ -2,7 +2,7 @@
 
 In a diagnosis a slope counts from a temperature of its own. Here it counts from the mean temperature of the
 rests that the calibration was fitted to, because its bias holds there. A term that the daemon learnt itself
-(bias_curve.py) is a polynomial, and knows the span that it was learnt at.
+(calibration/bias_curve) is a polynomial, and knows the span that it was learnt at.
 """
 
 from __future__ import annotations

@@ -10,8 +10,9 @@ import pytest
 from msgspec import structs
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration import bias_curve
-from stillcal.calib_core.calibration.bias_curve import DROPPED, TAKEN_UP, held_term, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve import learn
+from stillcal.calib_core.calibration.bias_curve.learn import learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learnt import DROPPED, TAKEN_UP, held_term
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import lag_of
 from stillcal.calib_core.calibration.drift_check import QualitySettings
@@ -186,19 +187,20 @@ def test_the_charger_is_asked_where_the_thermometer_failed_and_used_where_it_is_
 ) -> None:
     """Silent or doubted now, or doubted before and no curve followed since."""
 
-    def learn_by(sensor: Sensor, seen: object, driver: SimpleNamespace, **_: object) -> SimpleNamespace:
+    def learn_by(shown: object, driver: SimpleNamespace, **_: object) -> SimpleNamespace:
         by_charger = driver.name == "charger"
         decided = {"doubt": "", "change": change} if by_charger else {"doubt": doubt, "change": ""}
         return SimpleNamespace(term=None, name=driver.name, **decided)
 
     for name in ("thermometer", "charger"):
         driver = SimpleNamespace(name=name, mostly_known=True, silent=silent)
-        monkeypatch.setattr(bias_curve, f"by_{name}", lambda memory, driver=driver: driver)
-    monkeypatch.setattr(bias_curve, "_learn_by", learn_by)
-    monkeypatch.setattr(bias_curve, "_with_unfollowed", lambda learnt, *_, **__: learnt)
-    monkeypatch.setattr(bias_curve, "_with_unseen", lambda learnt, _: learnt)
+        monkeypatch.setattr(learn, f"by_{name}", lambda memory, driver=driver: driver)
+    monkeypatch.setattr(learn, "_learn_by", learn_by)
+    monkeypatch.setattr(learn, "_with_unfollowed", lambda learnt, *_, **__: learnt)
+    monkeypatch.setattr(learn, "_with_unseen", lambda learnt, _: learnt)
     known = SimpleNamespace(terms=(), forecast={str(GYRO): SimpleNamespace(unfollowed_since=since)})
-    learnt = bias_curve._learn(GYRO, None, None, middle=None, record=known, t=0.0, settings=SETTINGS)
+    shown = SimpleNamespace(sensor=GYRO, memory=None)
+    learnt = learn._learn(shown, known, 0.0, SETTINGS)
     assert learnt.name == used
 
 

@@ -21,7 +21,7 @@ from stillcal.api import Calibration, Diagnosis
 from stillcal.calib_core.accelerometer.parameters import basis, inverse, names
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.adoption import with_terms
-from stillcal.calib_core.calibration.bias_curve import learn_accelerometer, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learn import learn_accelerometer, learn_gyroscope
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.corrections.base import Drivers
 from stillcal.calib_core.calibration.corrections.catalogue import ADOPTABLE

@@ -12,13 +12,8 @@ from msgspec import structs
 from stillcal.calib_core.accelerometer.parameters import names
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.acceptance import CLEARLY, clearly_smaller, stated_uncertainty
-from stillcal.calib_core.calibration.bias_curve import (
-    DROPPED,
-    TAKEN_UP,
-    held_term,
-    learn_accelerometer,
-    learn_gyroscope,
-)
+from stillcal.calib_core.calibration.bias_curve.learn import learn_accelerometer, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learnt import DROPPED, TAKEN_UP, held_term
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import follow_accelerometer, with_learnt_gyroscope
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord

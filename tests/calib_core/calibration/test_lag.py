@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.bias_curve import held_term, learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learn import learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learnt import held_term
 from stillcal.calib_core.calibration.corrections.term import lag_of
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.following import with_learnt_gyroscope

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.calib_core.calibration.bias_curve import learn_gyroscope
+from stillcal.calib_core.calibration.bias_curve.learn import learn_gyroscope
 from stillcal.calib_core.calibration.drift_check import QualitySettings
 from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.engine import Engine
