@@ -10,9 +10,10 @@ import pytest
 from msgspec import structs
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.bias_curve import learn
+from stillcal.calib_core.calibration.bias_curve import driver, learn
 from stillcal.calib_core.calibration.bias_curve.learn import learn_gyroscope
 from stillcal.calib_core.calibration.bias_curve.learnt import DROPPED, TAKEN_UP, held_term
+from stillcal.calib_core.calibration.bias_curve.observations import shown_by_gyroscope
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import lag_of
 from stillcal.calib_core.calibration.drift_check import QualitySettings
@@ -202,6 +203,35 @@ def test_the_charger_is_asked_where_the_thermometer_failed_and_used_where_it_is_
     shown = SimpleNamespace(sensor=GYRO, memory=None)
     learnt = learn._learn(shown, known, 0.0, SETTINGS)
     assert learnt.name == used
+
+
+@pytest.mark.parametrize("by_charger", [False, True])
+def test_a_lag_is_kept_only_while_the_same_driver_is_followed(
+    by_charger: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The lag of the charger's heat says nothing of that of the thermometer."""
+    events, kept = plugged(4), []
+    celsius = 22.0 + 8.0 * heat(events) + 3.0 * np.sin(T / 9000.0)
+    heard = np.full(len(T), np.nan) if by_charger else celsius
+    record, changes = followed(np.outer(celsius - 22.0, FULL_RATE / 8.0), events, 4, heard)
+    assert len(changes) == 1 and record.forecast[GYRO].by_charger == by_charger
+    memory, charger = Memory(), Charger().with_events(events)
+    for rest in rests_of(np.outer(celsius, FULL_RATE), events, 4, celsius):
+        memory = memory.with_rest(structs.replace(rest, charged=charger.at(rest.t_end)), G)
+    likeliest = driver.Driver.at_likeliest_lag
+    monkeypatch.setattr(
+        driver.Driver,
+        "at_likeliest_lag",
+        lambda own, seen, model, t, before: kept.append(before) or likeliest(own, seen, model, t, before),
+    )
+    shown = shown_by_gyroscope(memory, record)
+    for own in (driver.by_thermometer(memory), driver.by_charger(memory)):
+        learn._learn_by(
+            shown, own, term=None, before=record.forecast[GYRO], t=float(T[-1]), settings=SETTINGS
+        )
+            shown, own, term=None, before=record.forecast[GYRO], t=float(T[-1]), settings=SETTINGS
+        )
+    assert [before is not None for before in kept] == [not by_charger, by_charger]
 
 
 def lived(engine: Engine, rests: list[RestState], events: list[Charging], *, saved: bool = False) -> Engine:
