@@ -229,8 +229,6 @@ def test_a_lag_is_kept_only_while_the_same_driver_is_followed(
         learn._learn_by(
             shown, own, term=None, before=record.forecast[GYRO], t=float(T[-1]), settings=SETTINGS
         )
-            shown, own, term=None, before=record.forecast[GYRO], t=float(T[-1]), settings=SETTINGS
-        )
     assert [before is not None for before in kept] == [not by_charger, by_charger]
 
 
