@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.merged_rests import merged, rising
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
@@ -95,13 +96,14 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
     """Return a table of rests as bins in order of time, one a row: no vibration, no motion, each row a rest.
 
     Rows without a duration count as one second. Of rows at the same time the later ones are a little later.
+    What a coarse thermometer rounded is undone where the rows have times.
     """
     rests = sorted(rests, key=lambda r: r.t_start)
     start = np.array([r.t_start for r in rests])
     duration = np.maximum([r.duration for r in rests], 1.0)
     rate = _stacked([r.rate for r in rests])
     rounding = 0.0 if rate is None else rounding_sd(rate)
-    warm = [r.temperature for r in rests]
+    warm = _stacked([r.temperature for r in rests])
     return Bins(
         t=rising(start + duration / 2.0),
         duration=duration,
@@ -114,7 +116,7 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
         rate=rate,
         rate_variance=None if rate is None else _variances(rests, rounding),
         rate_rounding=None if rate is None else np.full(3, rounding),
-        temperature=None if any(w is None for w in warm) else np.array(warm, dtype=np.float64),
+        temperature=None if warm is None else reconstructed(start, warm) if _timed(rests) else warm,
         charging=_charging(rests),
     )
 

@@ -18,6 +18,9 @@ Flags = NDArray[np.bool_]
 COARSE = 0.15
 """Smallest step, K, that is undone; half of a finer one is nothing beside the span that temperature needs."""
 
+COARSEST = 1.5
+"""Largest step, K: thermometers are read to a whole K at least. What jumps by more was set, in a chamber."""
+
 ALIKE = 0.1
 """Part of a step by which steps may differ: values are printed with few digits."""
 
@@ -88,7 +91,7 @@ def _step(readings: Array) -> float | None:
     if jumps.size == 0:
         return None
     usual = float(np.median(jumps))
-    if usual < COARSE or float(np.mean(np.abs(jumps - usual) < ALIKE * usual)) < ONE_STEP:
+    if not COARSE <= usual <= COARSEST or float(np.mean(np.abs(jumps - usual) < ALIKE * usual)) < ONE_STEP:
         return None
     above = readings - readings.min()
     step = float(above.max() / max(1.0, np.rint(above.max() / usual)))

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from msgspec import structs
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.screen import screened
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.static.rest import RestState
@@ -115,3 +117,20 @@ def test_a_large_slope_over_temperature_is_the_point_of_a_second_search() -> Non
     (found,) = diagnose_rests(rests, "rests.csv")["findings"]
     assert found["effect"] == "accel_bias_temperature"
     np.testing.assert_allclose(found["parameters"]["slope"]["value"], slope, atol=1e-5)
+
+
+def warmed(celsius: Array) -> Bins:
+    """Return the bins of rests a minute apart with these temperatures."""
+    return rest_bins([rest(60.0 * i, float(c)) for i, c in enumerate(celsius)])
+
+
+def test_temperatures_in_whole_kelvins_are_those_of_a_smooth_course() -> None:
+    """A bias that followed the temperature seemed to follow its past, where the rounding is averaged out."""
+    truth = 23.0 + 3.0 * np.sin(np.arange(100) / 20.0)
+    found = warmed(np.round(truth)).temperature
+    assert found is not None and (found - truth).std() < (np.round(truth) - truth).std() / 3.0
+
+
+def test_temperatures_that_a_chamber_was_set_to_stay() -> None:
+    steps = np.repeat([25.0, 15.0, 5.0, 15.0, 25.0, 35.0], 8)
+    np.testing.assert_array_equal(warmed(steps).temperature, steps)
