@@ -24,6 +24,7 @@ VERDICTS = {
     "not_judged": "Not judged: too few of the checks could be made",
 }
 NAMED_ONLY = "Differences found and named, but the corrected simulation does not fit"
+IN_PART = "Not judged as a whole: too few of the checks could be made; those made show differences"
 NOT_DECIDED = "No difference is sure, but likely: "
 BASIC = ("accel_bias", "accel_scale", "gyro_bias", "gyro_scale")
 """Effects of which "no difference" says something in any case: where they were not compared, it is said."""
@@ -42,6 +43,8 @@ def headline(answer: Mapping[str, Any]) -> str:
         text = NAMED_ONLY
     if any(max(f["owners"].values()) < CERTAIN for f in answer["findings"] if "owners" in f):
         text = NOT_WHOSE
+    if answer["verdict"] == "not_judged" and answer["findings"]:
+        text = IN_PART
     likely = [one for one in answer["not_compared"] if one.get("probability", 0.0) > EVEN]
     if answer["verdict"] == "match" and likely:
         text = NOT_DECIDED + _some([noun(one["effect"], one["sensor"]) for one in likely])

@@ -40,6 +40,12 @@ def test_what_is_named_and_not_explained_is_told_from_what_has_no_name(
     assert says in headline(answer(effect, "partly_identified", **fit))
 
 
+def test_findings_of_a_recording_that_is_not_judged_as_a_whole_are_told_of() -> None:
+    said = answer("accel_nonlinearity", "not_judged")
+    assert "those made show differences" in headline(said)
+    assert "differences" not in headline(said | {"findings": []})
+
+
 @pytest.mark.parametrize(("probability", "likely"), [(0.9, True), (0.4, False), (None, False)])
 def test_a_likely_difference_is_named_where_none_is_sure(probability: float | None, likely: bool) -> None:
     open_one = NotCompared("accel_nonlinearity", "accel", "the recording does not decide it", probability)
