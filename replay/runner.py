@@ -6,7 +6,6 @@ calibrations it accepts; it differs only in that time is the recording's and nob
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -25,13 +24,10 @@ from stillcal.calib_core.streams.events import End, Event
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.formats.trace import Chunk
 
-KEPT_LOG_LINES = 1000
-"""How many log lines an outcome keeps; a replay of months must not grow without end."""
-
 
 @dataclass(slots=True)
 class Outcome:
-    """What a replay left behind. duration: s of sample time; samples: of both sensors."""
+    """What a replay left behind. samples: of both sensors. warned: the first of each kind of warning."""
 
     record: CalibrationRecord | None = None
     refusal: Refusal | None = None
@@ -39,7 +35,7 @@ class Outcome:
     samples: int = 0
     t_start: float | None = None
     t_end: float | None = None
-    log: deque[Log] = field(default_factory=lambda: deque(maxlen=KEPT_LOG_LINES))
+    warned: dict[str, Log] = field(default_factory=dict)
     state: EngineState | None = None
     ledger: Ledger = field(default_factory=Ledger)
 
@@ -47,6 +43,12 @@ class Outcome:
     def duration(self) -> float:
         """Span of the samples' stamps, s; 0 where there were none."""
         return 0.0 if self.t_start is None or self.t_end is None else self.t_end - self.t_start
+
+    @property
+    def warnings(self) -> list[str]:
+        """The first warning of each kind, a line each, with when it was given."""
+        start = self.t_start or 0.0
+        return [f"{line.t - start:.1f} s after the first sample: {line.why}" for line in self.warned.values()]
 
 
 def with_choices(
@@ -141,8 +143,8 @@ def _closed(outcome: Outcome, engine: Engine, keep: Keep) -> Outcome:
 def _act(outcome: Outcome, actions: Iterable[Action], keep: Keep) -> None:
     for action in actions:
         if isinstance(action, Log):
-            if action.level is not Level.DEBUG:
-                outcome.log.append(action)
+            if action.level is Level.WARNING:
+                outcome.warned.setdefault(action.what, action)
         elif isinstance(action, Publish | Reject):
             outcome.rejected += isinstance(action, Reject)
             keep(action)

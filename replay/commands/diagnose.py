@@ -194,7 +194,7 @@ def diagnose_command(  # noqa: PLR0917 - click hands every option over by name
         with stages(quiet) as show_stage:
             outputs = _table(asked) if reading.is_rest_table(trace) else _diagnosed(asked, show_stage)
     except NotSupported as refusal:
-        named = simulated is not None or str(refusal).startswith(f"{trace.name}: ")
+        named = simulated is not None or str(refusal).startswith(f"{short_name(trace)}: ")
         subject = "" if named else f"{input_name(trace)}: "
         click.echo(f"stillcal: too little data: {subject}{refusal}", err=True)
         sys.exit(TOO_LITTLE)

@@ -261,7 +261,7 @@ def _replayed(
 ) -> Outcome:
     with progress(short_name(opened.path), opened.size_bytes, quiet) as step:
         outcome = replay(opened.chunks(), engine, keep, lambda: step(opened.bytes_read))
-    show_notes(opened.notes, quiet)
+    show_notes([*opened.notes, *outcome.warnings], quiet)
     return outcome
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
+from stillcal.calib_core.streams.limits import READING
 from stillcal.calib_core.streams.samples import Sensor
 
 REACH_OF_95 = 1.96
@@ -154,6 +155,10 @@ class Correction:
             )
         if given.ci95 is not None and np.shape(given.ci95) != (*parameter.shape, 2):
             raise ValueError(f"{self.effect}: ci95 of {parameter.name} has shape {np.shape(given.ci95)}")
+        if given.ci95 is not None and not (np.abs(given.ci95) <= READING).all():
+            raise ValueError(
+                f"{self.effect}: ci95 of {parameter.name} must be numbers of {READING:g} at most"
+            )
 
     def term(self, sensor: Sensor, finding: Mapping[str, Any], reference: dict[str, float]) -> Term:
         """Turn a finding (of `diagnose --json`) into a checked term. reference: what it counts from."""

@@ -317,6 +317,16 @@ def test_a_stored_term_that_is_out_of_range_or_garbled_is_refused(name: str, val
         replace(record(""), terms=(bad,))
 
 
+@pytest.mark.parametrize("end", [float("nan"), float("inf"), 1e300])
+def test_a_stored_interval_that_no_sensor_has_is_refused(end: float) -> None:
+    term = adopted("accel_nonlinearity").terms[0]
+    quadratic = term.parameters["quadratic"]
+    ends = np.where(np.arange(2) == 1, end, quadratic.ci95)
+    bad = replace(term, parameters={"quadratic": replace(quadratic, ci95=ends)})
+    with pytest.raises(ValueError, match="ci95 of quadratic must be numbers of"):
+        replace(record(""), terms=(bad,))
+
+
 def test_a_store_with_a_garbled_term_is_not_read(tmp_path: Path) -> None:
     store = Store(tmp_path / "store.json")
     store.publish(adopted("accel_warmup"))

@@ -174,6 +174,16 @@ def test_a_gap_of_twelve_hours_does_no_harm(tmp_path: Path, run: Run, lab: Path)
     assert json.loads(out.read_text())["accelerometer"]["parameters"] == 9
 
 
+def test_what_the_engine_warns_of_is_said(tmp_path: Path, run: Run) -> None:
+    trace = tmp_path / "high.csv"
+    trace.write_text("\n".join(still()) + "\n")
+    events = ({"t": 2.0, "event": "location", "latitude": 50.0, "longitude": 8.0, "altitude": 9e4},) * 3
+    trace.with_name("high.events.jsonl").write_text("\n".join(map(json.dumps, events)))
+    _, _, err = run("replay", trace)
+    assert err.count("location not used") == 1
+    assert "2.0 s after the first sample: location not used: altitude 90000.0 m is not within" in err
+
+
 def test_json_holds_what_is_promised(tmp_path: Path, run: Run, lab: Path) -> None:
     code, text, err = run("replay", lab, "--json", "-", "--store", tmp_path / "s.json")
     found = json.loads(text)

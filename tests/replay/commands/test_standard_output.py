@@ -96,6 +96,10 @@ def test_a_rest_table_comes_through_a_pipe_as_from_a_file(tmp_path: Path) -> Non
     assert few.returncode == 3 and few.stderr.startswith(
         b"stillcal: too little data: standard input: 6 rests"
     )
+    short = ran("diagnose", "-", given=b"t,ax,ay,az\n0,0,0,9.8\n1,0,0,9.8\n")
+    assert short.returncode == 3 and short.stderr.startswith(
+        b"stillcal: too little data: standard input: 2 samples"
+    )
     bad = ran("replay", "-", "--format", "rest", given=b"ax,ay,az\n0,0,0\n0,0,0\n")
     assert bad.returncode == 2 and bad.stderr.startswith(b"stillcal: standard input: all rests read zero")
 
