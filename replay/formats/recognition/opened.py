@@ -68,10 +68,6 @@ Reader = Callable[[Source, ColumnMap | None, Source | None], Log]
 """Opens a recording by a given column map, or by what is in it; the last argument is the gyroscope's file."""
 
 
-class RestTableGivenError(TraceError):
-    """A rest table was given where samples are needed."""
-
-
 def kept(path: Path | str) -> Path | Source:
     """Return where a recording can be read more than once: a pipe's bytes, read to their end, else its path.
 
@@ -84,7 +80,7 @@ def open_log(path: Path | str | Source, format: Format = None, gyro: Path | None
     """Recognise a recording; format: as `open_trace` takes it. Raises TraceError."""
     if str(format) == REST:
         where = path.path if isinstance(path, Source) else input_name(path)
-        raise RestTableGivenError(where, "a rest table holds no samples", "give a recording of samples")
+        raise _without_samples(where)
     format = None if str(format) == AUTO else format
     found = path if isinstance(path, Source) else kept(path)
     column_map = format if format is None or isinstance(format, ColumnMap) else load_map(format)
@@ -107,6 +103,12 @@ def open_log(path: Path | str | Source, format: Format = None, gyro: Path | None
     return (
         replace(log, notes=[f"{short_name(source.path)}: {source.said}", *log.notes]) if source.said else log
     )
+
+
+def _without_samples(path: Path | str) -> TraceError:
+    """Return the error of a rest table that was given where samples are needed."""
+    remedy = "give samples; only the commands stillcal diagnose and stillcal replay take rest tables"
+    return TraceError(path, "a rest table holds no samples", remedy)
 
 
 def _refuse_gyro(gyro: Path | None, path: Path, kind: str) -> None:
@@ -229,7 +231,7 @@ def _text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None)
     if form.name == BETAFLIGHT:
         return open_betaflight(source, form.column_map)
     if form.name == REST:
-        raise RestTableGivenError(source.path, "a rest table holds no samples", "give a recording of samples")
+        raise _without_samples(source.path)
     sensors = []
     if form.name in (UNKNOWN, *SENSOR_LOGGER):
         sensors = sensors_of_rows(partial(_named_table, source, form), form.cut, form.rate_hz)
