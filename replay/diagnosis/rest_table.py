@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
 from stillcal.calib_core.diagnosis.segments.merged_rests import merged, rising
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
@@ -72,9 +73,13 @@ def diagnose_rests(rests: Sequence[RestState], name: str, claims: Claims | None 
 
 
 def _with_temperature(rests: Sequence[RestState]) -> Sequence[RestState]:
-    """Return the rests whose temperature is known where most are such; one without would cost them all."""
+    """Return the rests whose temperature is known where enough are such; one without would cost them all.
+
+    Half of a short table and a quarter of a long one are enough: what follows temperature would have no name.
+    """
     known = [r for r in rests if r.temperature is not None]
-    return known if len(known) >= max(LEAST_ROWS, len(rests) / 2) else rests
+    enough = max(LEAST_ROWS, min(LEAST_BINS, len(rests) / 2), len(rests) / 4)
+    return known if len(known) >= enough else rests
 
 
 def _without_effects(bins: Bins, findings: Sequence[Finding], gravity: float) -> tuple[Bins, list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -89,12 +90,16 @@ def test_axes_that_keep_to_one_code_do_not_hide_a_step_of_the_other() -> None:
     assert np.abs(np.array(tried) - 683.0).min() < 15.0
 
 
-def test_a_row_without_a_temperature_does_not_cost_that_of_the_others() -> None:
+@pytest.mark.parametrize(("rows", "known"), [(20, lambda i: i not in {4, 11}), (48, lambda i: i % 3 == 0)])
+def test_rows_without_a_temperature_do_not_cost_that_of_the_others(
+    rows: int, known: Callable[[int], bool]
+) -> None:
+    """With two rows of three empty, a bias that followed temperature had a period in time."""
     rng = np.random.default_rng(8)
-    up = rng.normal(size=(20, 3))
-    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True) + rng.normal(size=(20, 3)) * 1e-4
-    warm = 20.0 + 9.0 * np.sin(np.arange(20))
-    kelvin = [None if i in {4, 11} else float(w) for i, w in enumerate(warm)]
+    up = rng.normal(size=(rows, 3))
+    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True) + rng.normal(size=(rows, 3)) * 1e-4
+    warm = 20.0 + 9.0 * np.sin(np.arange(rows))
+    kelvin = [float(w) if known(i) else None for i, w in enumerate(warm)]
     rests = [
         structs.replace(rest(60.0 * i, t), specific_force=f + np.array([0.0, 0.0, 0.004 * (w - 20.0)]))
         for i, (t, f, w) in enumerate(zip(kelvin, force, warm, strict=True))
