@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.calibration.adoption import beginning_of, with_terms
+from stillcal.calib_core.calibration.adoption import beginning_of, refusals, with_terms
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.engine.actions import Publish, Reject
@@ -163,11 +163,13 @@ class Calibration:
     """What `calibrate` found, or what a store holds: calibrated = scale @ (raw - bias) for either sensor.
 
     It shows itself as a table in a notebook. `record` holds all of it; the properties are what most need.
+    left_out: why `adopt` did not take up some findings, by effect.
     """
 
     record: CalibrationRecord
     _outcome: Outcome | None = None
     _actions: tuple[Publish | Reject, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def read(cls, path: PathLike) -> Calibration:
@@ -213,13 +215,15 @@ class Calibration:
         """Return the calibration with corrections that a diagnosis found, as `stillcal store adopt-terms`.
 
         The diagnosis must be of the same phone; a warm-up is taken up only from a diagnosis of the recording
-        that was calibrated. `record.terms` says which effects are corrected now. `apply` uses them, and
-        `save` keeps the calibration without them in the history. Raises NotSupported where none of the
-        findings can be taken up, and says why.
+        that was calibrated. `record.terms` says which effects are corrected now, `left_out` why others are
+        not. `apply` uses them, and `save` keeps the calibration without them in the history. Raises
+        NotSupported where none of the findings can be taken up, and says why.
         """
-        record = with_terms(self.record, diagnosis.findings, beginning_of(diagnosis.answer))
+        findings, diagnosed = diagnosis.findings, beginning_of(diagnosis.answer)
+        record = with_terms(self.record, findings, diagnosed)
         t = 0.0 if record.fitted_at is None else record.fitted_at
-        return Calibration(record, None, (*self._actions, Publish(t, record, "terms from a diagnosis")))
+        actions = (*self._actions, Publish(t, record, "terms from a diagnosis"))
+        return Calibration(record, None, actions, refusals(self.record, findings, diagnosed))
 
     def save(self, path: PathLike) -> None:
         """Put the calibration into a store, a JSON file, as `stillcal replay --store` does.

@@ -425,9 +425,11 @@ def test_what_was_learnt_since_goes_with_the_adoption() -> None:
 
 
 def test_python_adopts_as_the_command_does(tmp_path: Path) -> None:
-    found = {"beginning": asdict(BEGINNING), "findings": [finding("accel_warmup")]}
+    step = {"effect": "accel_bias_step", "parameters": {}}
+    found = {"beginning": asdict(BEGINNING), "findings": [finding("accel_warmup"), step]}
     taken = Calibration(record("accel_warmup")).adopt(Diagnosis(found))
     assert taken.record.id == adopted("accel_warmup").id
+    assert taken.left_out == {"accel_bias_step": "it is over once the phone is calibrated anew"}
     Store(tmp_path / "store.json").publish(record("accel_warmup"))
     Calibration.read(tmp_path / "store.json").adopt(Diagnosis(found)).save(tmp_path / "store.json")
     assert Store(tmp_path / "store.json").load().current.terms
