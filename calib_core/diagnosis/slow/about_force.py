@@ -84,7 +84,8 @@ def _about(residuals: SensorResiduals, effects: Sequence[Hypothesis]) -> SensorR
             break
     if made is residuals:
         return residuals
-    columns = together(made, own).columns
+    # Also in views in which it is not sought: it was taken off the force that all of them are made of.
+    columns = made.columns_of(_response(made, own))
     views = (replace(v, y=v.y + c @ value) for v, c in zip(made.views, columns, strict=True))
     return replace(made, bins=residuals.bins, views=tuple(views))
 
@@ -93,7 +94,11 @@ def _without(
     residuals: SensorResiduals, made: SensorResiduals, own: Sequence[Hypothesis], value: Array
 ) -> SensorResiduals:
     """Return residuals without effects of sizes (k,), as they are at the force of those `made` last."""
-    response = np.concatenate([h.effect.response(made.moments, h.grid) for h in own], axis=2)
-    bins = replace(residuals.bins, force=residuals.bins.force - response @ value)
+    bins = replace(residuals.bins, force=residuals.bins.force - _response(made, own) @ value)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, residuals.gravity)
     return of_force(bins, baseline, residuals.gravity, residuals.covariates)
+
+
+def _response(residuals: SensorResiduals, own: Sequence[Hypothesis]) -> Array:
+    """Return what the sizes of effects do to the force in every bin, (n, 3, k)."""
+    return np.concatenate([h.effect.response(residuals.moments, h.grid) for h in own], axis=2)

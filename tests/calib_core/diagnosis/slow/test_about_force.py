@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
+from stillcal.calib_core.diagnosis.slow.about_force import _about, about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import nulls
 
@@ -77,3 +78,22 @@ def test_a_bias_that_changes_much_leaves_nothing_else_about_the_point_found() ->
 def test_a_steady_accelerometer_is_searched_once() -> None:
     made = by_sensor(warming(0.0), nulls.G)[0]
     assert searched(made)[0] is made
+
+
+def test_what_is_taken_off_the_force_is_put_back_across_gravity_too() -> None:
+    """A step is not sought across gravity, where it shows: about one found late it seemed a sixth."""
+    rng = np.random.default_rng(SEED)
+    t = np.arange(1800.0)
+    rest, left = np.divmod(t.astype(int), 300)
+    up = nulls.random_attitudes(rng, 6)[rest]
+    day = nulls.Day(t, np.where(left < 295, rest, -1), up, np.full(t.size, 25.0), np.zeros(t.size))
+    quiet = {sensor: nulls.Wander() for sensor in nulls.WHITE}
+    step = np.outer(t >= 1040.0, [0.06, -0.05, 0.05])
+    made = by_sensor(nulls.bins_of(rng, day, quiet, accel_error=step), nulls.G)[0]
+    late = made.hypothesis(Step("accel"), {"t_start": 1045.0})
+    about = _about(made, [late])
+    before, after = (r.views[1] for r in (made, about))
+    assert about is not made and before.name == "tangent"
+    own = np.flatnonzero(before.rest == 3)
+    jumps = [np.linalg.norm(v.y[:, own[-1]] - v.y[:, own[0]]) for v in (before, after)]
+    assert jumps[1] == pytest.approx(jumps[0], rel=0.1)
