@@ -292,7 +292,7 @@ def of_motion(exam: Examination) -> Iterator[Check]:
         have = len(turning_windows(exam.gyroscope, exam.aligned, limited))
         if have < LEAST_WINDOWS:
             within = " within the sensors' limits" if limited else ""
-            spans = f"{_counted(have, 'span')} of {WINDOW:.0f} s{within}"
+            spans = f"{_counted(have, 'span')} of {WINDOW:.0f} s that the samples follow{within}"
             why = f"the phone turns in {spans}, {LEAST_WINDOWS} are needed"
     yield from (Check(name, sensor, None if name in stated else why) for name, sensor in MOTION)
 

@@ -163,13 +163,18 @@ def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int, rates: Rates) -> C
         return None
     if not throughout(part.t, start, end):
         return None
-    if np.linalg.norm(part.xyz, axis=1).max() * np.median(np.diff(part.t)) > SHARPEST:
+    if not followed(part.t, part.xyz):
         return None
     rate = rates(part) - bias[i]
     if _angle(part.t, rate) < LEAST_ANGLE:
         return None
     warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
     return Cut(i, part.t, rate, warm)
+
+
+def followed(t: Array, rate: Array) -> bool:
+    """Whether samples of the rate (n, 3) at t (n,) are so close that they tell what happens between them."""
+    return bool(np.linalg.norm(rate, axis=1).max() * np.median(np.diff(t)) <= SHARPEST)
 
 
 def throughout(t: Array, start: float, end: float) -> bool:

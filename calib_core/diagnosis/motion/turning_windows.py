@@ -14,7 +14,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, followed
 from stillcal.calib_core.diagnosis.motion.affine_errors import affine_columns
 from stillcal.calib_core.diagnosis.motion.axis_delays import axis_columns
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
@@ -195,7 +195,8 @@ def turning_windows(
     for first in (k for a, b in runs_of(clear) for k in range(a, b - n, n)):
         t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
         rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
-        if t[-1] - t[0] < 1.5 * WINDOW and np.diff(t).min() > 0.0 and rms > LEAST_RATE:
+        unbroken = t[-1] - t[0] < 1.5 * WINDOW and np.diff(t).min() > 0.0
+        if unbroken and rms > LEAST_RATE and followed(t, rate):
             found.append((t, rate))
             size.append(rms)
     least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0

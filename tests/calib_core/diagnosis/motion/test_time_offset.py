@@ -236,3 +236,36 @@ def test_the_same_few_turns_again_and_again_do_not_make_sure_of_an_arm(seed: int
     arms = fitted(Motion.of(accelerometer, gyroscope, affine, G, ())).last.sums.only(ARM)
     arm, covariance, _ = arms.jackknifed(PARTS)
     assert (np.abs(arm) < 3.0 * np.sqrt(covariance.diagonal())).all()
+
+
+def played_slowly(seed: int, turn_s: float, rate_hz: float) -> tuple[Samples, Samples]:
+    """Play 24 rests of 30 s on a table, a quarter turn about an axis of the body between any two; no hand."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(24 * 30.0 * rate_hz) / rate_hz
+    turn, at = np.divmod(t, 30.0)
+    x = np.clip(at / turn_s, 0.0, 1.0)
+    axes = np.eye(3)[rng.integers(3, size=24)] * rng.choice([-1.0, 1.0], (24, 1))
+    own = axes[turn.astype(int)] * np.pi / 2
+    before = [Rotation.identity()]
+    for axis in axes[:-1]:
+        before.append(before[-1] * Rotation.from_rotvec(np.pi / 2 * axis))
+    turned = Rotation.from_rotvec(own * (x**3 * (10.0 - 15.0 * x + 6.0 * x * x))[:, None])
+    attitude = Rotation.concatenate(before)[turn.astype(int)] * turned
+    rate = own * (30.0 * x * x * (1.0 - x) ** 2 / turn_s)[:, None]
+    force = attitude.inv().apply([0.0, 0.0, G]) + rng.normal(0, 1e-3, (t.size, 3))
+    spin = rate + rng.normal(0, 1e-4, (t.size, 3))
+    return Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, spin)
+
+
+def shown_slowly(seed: int, turn_s: float) -> tuple[list[Finding], int]:
+    """Return what turns of `turn_s` show at one sample a second, and how many windows are looked at."""
+    accelerometer, gyroscope = played_slowly(seed, turn_s, 1.0)
+    affine = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+    shown = shown_in_motion(accelerometer, gyroscope, affine, G, sound_phones()["time_offset"])
+    return shown.findings, len(turning_windows(gyroscope, affine, []))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_turns_that_samples_do_not_follow_are_not_looked_at(seed: int) -> None:
+    """0.75 rad from sample to sample looked like delays of 10 to 30 ms, another one of each axis."""
+    assert shown_slowly(seed, 4.0) == ([], 0)
