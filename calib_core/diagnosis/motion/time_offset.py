@@ -30,6 +30,10 @@ LEAST_ERROR = 2e-4
 ARM = np.array([True, True, True, False])
 """The columns of an arm; the fourth is the delay's."""
 
+TRAPEZOID = 12.0
+"""Straight lines between samples at an interval h turn the phone otherwise by h^2 / 12 of the rate's slope,
+and gravity with it, as an arm of gravity h^2 / 12 does. A shorter one may be what happens between samples."""
+
 
 @dataclass(frozen=True, slots=True)
 class Shown:
@@ -82,9 +86,10 @@ def shown_in_motion(
     if several or (late is None and filters is None):
         late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
     arm, cause = lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where), None
+    length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
+    if length < gravity * interval**2 / TRAPEZOID or (filters and filters.explains_arm(length, gravity)):
+        arm = None
     if filters is not None:
-        length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
-        arm = None if filters.explains_arm(length, gravity) else arm
         cause = None if whole is None else filters.finding(whole, total, alone=late is None)
     findings = [f for f in (late, arm, cause) if f]
     if several:

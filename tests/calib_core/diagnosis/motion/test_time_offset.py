@@ -269,3 +269,10 @@ def shown_slowly(seed: int, turn_s: float) -> tuple[list[Finding], int]:
 def test_turns_that_samples_do_not_follow_are_not_looked_at(seed: int) -> None:
     """0.75 rad from sample to sample looked like delays of 10 to 30 ms, another one of each axis."""
     assert shown_slowly(seed, 4.0) == ([], 0)
+
+
+@pytest.mark.parametrize("seed", [3, 5, 7])
+def test_what_happens_between_samples_is_no_arm(seed: int) -> None:
+    """0.5 rad from sample to sample looked like arms of 6 to 11 cm, in 10 of 16 recordings."""
+    found, windows = shown_slowly(seed, 6.0)
+    assert found == [] and windows > 12
