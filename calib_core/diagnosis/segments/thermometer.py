@@ -1,7 +1,8 @@
-"""What a coarse thermometer measured: a smooth temperature, again, from the staircase that it showed.
+"""What a thermometer measured: a smooth temperature, again, from the staircase that it showed.
 
-When readings change is known far better than what they are: the temperature is then half-way between two
-levels. The error of the staircase, up to half a step, times a slope would be structure without a name.
+A coarse thermometer is known best when its readings change: the temperature is then half-way between two
+levels. One that is read seldom, its last reading repeated in each sample, is known best when it was read. The
+error of the staircase times a slope would be structure without a name.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ NOISY = 0.05
 Beyond, noise of an eighth of a step and more dithers the steps, and means of readings need no help.
 """
 
+OFTEN = 10
+"""Readings at equal times, at least, that show a thermometer that is read seldom."""
+
 
 @dataclass(frozen=True, slots=True)
 class _Crossings:
@@ -70,11 +74,12 @@ def reconstructed(t: Array, readings: Array) -> Array:
     was left the way it was entered it goes on as quickly as in the last level that was passed, and comes back
     as quickly as in the next one, but no farther than the middle of the level: all of the level is possible,
     and the middle is never off by more than half of it. So it does before the first and after the last
-    change. Readings that are not coarse, or that noise dithers, are returned as they are.
+    change. Readings that are repeated until the next one belong to the moment of the first of them; between
+    those it is linear in time. Other readings, and those that noise dithers, are returned as they are.
     """
     step = _step(readings)
     if step is None:
-        return readings
+        return _between_held(t, readings)
     changes, span = _changes(t, readings), float(t[-1] - t[0])
     if _dithered(changes):
         return readings
@@ -82,6 +87,26 @@ def reconstructed(t: Array, readings: Array) -> Array:
     found = np.interp(t, times, values)
     wrong = np.abs(found - readings) > (0.5 + ALIKE) * step
     return readings if float(wrong.mean()) > NOISY else np.asarray(found)
+
+
+def _between_held(t: Array, readings: Array) -> Array:
+    """Return the temperature (n,) between readings that are repeated for equal times; else the readings.
+
+    What jumps by more than `COARSEST` each time was set, in a chamber.
+    """
+    first = np.flatnonzero(np.diff(readings, prepend=np.nan) != 0.0)
+    if first.size < OFTEN:
+        return readings
+    held = np.diff(t[first])
+    usual = float(np.median(held))
+    even = np.abs(held / usual - np.rint(held / usual)) < ALIKE
+    large = float(np.median(np.abs(np.diff(readings[first])))) > COARSEST
+    if usual < QUICKEST or large or float(even.mean()) < ONE_STEP:
+        return readings
+    # Readings that were alike were read, too: the last of them one usual time before another one.
+    last = np.maximum(t[first[1:]] - usual, t[first[:-1]])
+    times = np.stack([t[first], np.append(last, t[-1])], axis=1)
+    return np.interp(t, times.ravel(), np.repeat(readings[first], 2))
 
 
 def _step(readings: Array) -> float | None:
