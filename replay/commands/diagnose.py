@@ -304,7 +304,8 @@ class _Outputs(NamedTuple):
 
 def _table(asked: _Asked) -> _Outputs:
     of_rests = diagnose_kept if is_daemon_state(asked.trace) else diagnose_rests
-    return _Outputs(of_rests(asked.reading.rests(asked.trace), short_name(asked.trace)))
+    table = asked.reading.rest_table(asked.trace)
+    return _Outputs(of_rests(table.rests, short_name(asked.trace)), notes=table.notes)
 
 
 def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:

@@ -11,14 +11,13 @@ from typing import Any, TypeVar
 
 import click
 
-from stillcal.calib_core.static.rest import RestState
 from stillcal.daemon.cli.options import FiniteRange
 from stillcal.daemon.system.files import is_read_once
 from stillcal.replay.commands.outputs import settings_files
 from stillcal.replay.formats.columns import ColumnMap, load_map
 from stillcal.replay.formats.daemon_state import is_daemon_state, kept_rests
 from stillcal.replay.formats.recognition.opened import is_rest_table, kept
-from stillcal.replay.formats.rest_table import read_rest_table
+from stillcal.replay.formats.rest_table import RestTable, open_rest_table
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.trace import Trace, open_trace
 
@@ -69,13 +68,15 @@ class Reading:
         """Whether the file is a rest table, or holds rests as a daemon's state does. Raises TraceError."""
         return is_daemon_state(trace) or is_rest_table(self.kept(trace), self.format)
 
-    def rests(self, trace: Path) -> list[RestState]:
-        """Read a rest table. Raises TraceError."""
+    def rest_table(self, trace: Path) -> RestTable:
+        """Read a rest table, or the rests of a daemon's state. Raises TraceError."""
         if any(given is not None for given in (self.sensor, self.start, self.stop, self.gyro)):
             raise click.UsageError(
                 "--sensor, --gyro, --from and --to are for samples, which a rest table has not"
             )
-        return kept_rests(trace) if is_daemon_state(trace) else read_rest_table(self.kept(trace))
+        if is_daemon_state(trace):
+            return RestTable(kept_rests(trace), [])
+        return open_rest_table(self.kept(trace))
 
 
 def show_notes(notes: Iterable[str], quiet: bool) -> None:

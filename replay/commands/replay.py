@@ -116,7 +116,9 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     watch = "continuous" if faces and watch is None else watch
     if reading.is_rest_table(trace):
         engine = Engine(with_choices(settings.engine, gravity, watch))
-        outcome = replay_rests(reading.rests(trace), engine, calibrations.append)
+        table = reading.rest_table(trace)
+        show_notes(table.notes, quiet)
+        outcome = replay_rests(table.rests, engine, calibrations.append)
     else:
         opened = reading.open(trace)
         beginning = opened.beginning

@@ -33,6 +33,7 @@ from stillcal.replay.diagnosis.phone.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import told_of_sensor
+from stillcal.replay.formats.checks.units import DEGREE
 from stillcal.replay.formats.rest_table import rounding_sd
 
 LEAST_UNCERTAINTY = 1e-4
@@ -107,7 +108,7 @@ def rest_bins(rests: Sequence[RestState]) -> Bins:
     start = np.array([r.t_start for r in rests])
     duration = np.maximum([r.duration for r in rests], 1.0)
     rate = _stacked([r.rate for r in rests])
-    rounding = 0.0 if rate is None else rounding_sd(rate)
+    rounding = 0.0 if rate is None else max(u * rounding_sd(rate / u) for u in (1.0, DEGREE))
     warm = _stacked([r.temperature for r in rests])
     return Bins(
         t=rising(start + duration / 2.0),

@@ -2,58 +2,78 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
-from stillcal.replay.formats.checks.units import multiples_of
-from stillcal.replay.formats.columns import ColumnMap, SensorMap, TimeMap, find_columns
+from stillcal.daemon.system.files import short_name
+from stillcal.replay.formats.checks.rest_units import judge_forces, judge_rates
+from stillcal.replay.formats.columns import find_columns
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.sources import Source
+from stillcal.replay.formats.recognition.rest_columns import FORCE, RATE, SCATTER, RestColumn, rest_columns
+from stillcal.replay.formats.recognition.text_formats import text_format
+from stillcal.replay.formats.sources import Source, source_of
+from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.table import EMPTY
 from stillcal.replay.formats.tables.text import TextTable
 
-_OPTIONAL = ("t", "duration", "n", "gx", "gy", "gz", "sax", "say", "saz", "temperature")
-_LAYOUT = ColumnMap(
-    time=TimeMap(rate_hz=1.0),
-    accelerometer=SensorMap(columns=("ax", "ay", "az"), unit="m/s^2"),
-    delimiter="auto",
-)
 _DECIMALS = 12
 """Most decimals tried in printed numbers: with three digits before the point a float has no more."""
 
 
+@dataclass(frozen=True, slots=True)
+class RestTable:
+    """The rests of a table, and what is to be said of how it was read, a line each."""
+
+    rests: list[RestState]
+    notes: list[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Values:
+    """A column in SI units, (n,). rounding_sd: of the decimals printed. stated: whether its unit is."""
+
+    si: Array
+    rounding_sd: float
+    stated: bool
+
+
 def read_rest_table(found: Path | Source) -> list[RestState]:
+    """Return the rests of a table, as `open_rest_table` reads it. Raises TraceError."""
+    return open_rest_table(found).rests
+
+
+def open_rest_table(found: Path | Source) -> RestTable:
     """Read a rest table, a file or a pipe's bytes.
 
-    Columns: ax ay az, and any of t duration n gx gy gz sax say saz temperature.
-    A mean's standard uncertainty is s/sqrt(n). Where the table has no s, only the rounding of the
-    printed numbers is known of it, step/sqrt(12): the same for all rows and a lower bound, so that
-    rows weigh alike and the residuals have to tell the rest. Rows without t are numbered 0, 1, 2, ...
-    in its place. Raises TraceError.
+    Columns: ax ay az, and any of t duration n gx gy gz sax say saz temperature, or other usual names for them
+    with their units (recognition/rest_columns.py). A mean's standard uncertainty is s/sqrt(n). Where the
+    table has no s, only the rounding of the printed numbers is known of it, step/sqrt(12): the same for all
+    rows and a lower bound, so that rows weigh alike and the residuals have to tell the rest. Rows without t
+    are numbered 0, 1, 2, ... in its place. Raises TraceError.
     """
-    columns = _columns(found)
     path = found.path if isinstance(found, Source) else found
-    force = _axes(columns, ("ax", "ay", "az"))
-    if force is None:
-        missing = next(name for name in ("ax", "ay", "az") if name not in columns)
-        raise TraceError(path, f"no column {missing!r}", "name the means of a rest table ax, ay, az", 1)
-    if not force.any():
-        raise TraceError(path, "all rests read zero", "give the means in ax, ay, az")
-    if unit := multiples_of(np.linalg.norm(force, axis=1)):
-        raise TraceError(path, f"the forces seem to be in {unit}", "give a rest table in m/s^2 and rad/s")
-    rate = _axes(columns, ("gx", "gy", "gz"))
-    force_sd = _axes(columns, ("sax", "say", "saz"))
-    if force_sd is None:
-        counted = np.ones(len(force))
-        force_sd = np.full_like(force, rounding_sd(force))
+    columns, notes = _columns(found)
+    force = _stacked(columns, FORCE)
+    judge_forces(path, force)
+    counted = np.ones(len(force))
+    if set(SCATTER) <= columns.keys():
+        force_sd = _stacked(columns, SCATTER)
+        counted = np.maximum(columns["n"].si, 1.0) if "n" in columns else counted
     else:
-        counted = np.maximum(columns.get("n", np.ones(len(force))), 1.0)
-    rate_sd = np.zeros_like(force) if rate is None else np.full_like(rate, rounding_sd(rate))
-    return [
+        force_sd = np.full_like(force, max(columns[name].rounding_sd for name in FORCE))
+    rate, rate_sd = None, np.zeros_like(force)
+    if set(RATE) <= columns.keys():
+        rate = _stacked(columns, RATE)
+        rate_sd = np.full_like(rate, max(columns[name].rounding_sd for name in RATE))
+        notes += [] if columns[RATE[0]].stated else judge_rates(path, force, rate)
+    rests = [
         RestState(
             **_extent(columns, i),
             specific_force=frozen(force[i]),
@@ -68,12 +88,13 @@ def read_rest_table(found: Path | Source) -> list[RestState]:
         )
         for i in range(len(force))
     ]
+    return RestTable(rests, notes)
 
 
-def _extent(columns: dict[str, Array], row: int) -> dict[str, Any]:
-    start = float(columns["t"][row]) if "t" in columns else float(row)
-    length = float(columns["duration"][row]) if "duration" in columns else 0.0
-    n = int(columns["n"][row]) if "n" in columns else 1
+def _extent(columns: dict[str, _Values], row: int) -> dict[str, Any]:
+    start = float(columns["t"].si[row]) if "t" in columns else float(row)
+    length = float(columns["duration"].si[row]) if "duration" in columns else 0.0
+    n = int(columns["n"].si[row]) if "n" in columns else 1
     return {"t_start": start, "t_end": start + length, "n": n}
 
 
@@ -83,34 +104,76 @@ def _along(force: Array, sd: Array) -> float:
     return float(np.linalg.norm(sd * force)) / norm if norm else float(np.linalg.norm(sd))
 
 
-def _columns(found: Path | Source) -> dict[str, Array]:
-    """Return the table's known columns by name, each (n,). Raises TraceError on what is not finite."""
-    table = TextTable(found, _LAYOUT)
-    path = table.path
-    names = [c for c in ("ax", "ay", "az", *_OPTIONAL) if find_columns([c], table.names, table.width)]
-    if not names:
-        raise TraceError(path, "none of the columns ax, ay, az", "name the means of a rest table so", 1)
-    places = find_columns(names, table.names, table.width) or []
+def _columns(found: Path | Source) -> tuple[dict[str, _Values], list[str]]:
+    """Return the table's columns by their own names, and notes. Raises TraceError on what is not finite."""
+    table = _table(found)
+    path, names = table.path, table.names or []
+    wanted = rest_columns(names, path)
+    if not {column.quantity for column in wanted} >= set(FORCE):
+        missing = [name for name in FORCE if name not in names]
+        what = f"no column {missing[0]!r}" if len(missing) < len(FORCE) else "none of the columns ax, ay, az"
+        raise TraceError(path, what, "name the means of a rest table ax, ay, az", table.header_line)
+    unread = [name for name in names if name and name not in {column.name for column in wanted}]
+    places = find_columns([column.name for column in wanted], names, table.width) or []
+    dated = next((c.name for c in wanted if c.quantity == "t" and _is_dated(table, c.name)), None)
+    if dated is not None:
+        table.read_dates(names.index(dated))
     blocks = list(table.blocks(places))
     values = np.concatenate([b.values for b in blocks])
     lines = np.concatenate([b.lines for b in blocks])
-    may_be_empty = np.array([name == "temperature" for name in names])
-    bad = ~np.isfinite(values) | ((values == EMPTY) & ~may_be_empty)
+    warm = np.array([column.quantity == "temperature" for column in wanted])
+    values = np.where(warm & np.isnan(values), EMPTY, values)
+    bad = ~np.isfinite(values) | ((values == EMPTY) & ~warm)
     if bad.any():
-        row, column = (int(i) for i in np.argwhere(bad)[0])
-        what = f"column {names[column]!r} holds no finite number"
+        row, i = (int(k) for k in np.argwhere(bad)[0])
+        what = f"column {wanted[i].name!r} holds no finite number"
         raise TraceError(path, what, "correct or delete that row", int(lines[row]))
-    return {name: values[:, i] for i, name in enumerate(names)}
+    found_columns = {c.quantity: _in_si(values[:, i], c) for i, c in enumerate(wanted)}
+    return found_columns, [*_told(path, wanted), *_left_out(path, unread)]
 
 
-def _axes(columns: dict[str, Array], names: tuple[str, str, str]) -> Array | None:
-    if any(name not in columns for name in names):
-        return None
-    return np.column_stack([columns[name] for name in names])
+def _table(found: Path | Source) -> TextTable:
+    """Return the table, from its header on. Raises TraceError where it has none."""
+    source = found if isinstance(found, Source) else source_of(found)
+    form = text_format(source)
+    cut = msgspec.structs.replace(form.column_map, select=None, decimal="auto")
+    table = TextTable(form.source or source, cut)
+    if form.names is not None:
+        table.names = form.names
+    if table.names is None:
+        what = "none of the columns ax, ay, az: the table has no header"
+        raise TraceError(table.path, what, "name the means of a rest table in its first line", 1)
+    return table
 
 
-def _temperature(columns: dict[str, Array], row: int) -> float | None:
-    value = columns["temperature"][row] if "temperature" in columns else EMPTY
+def _is_dated(table: TextTable, name: str) -> bool:
+    place = (table.names or []).index(name)
+    return place < len(table.first_row) and is_date(table.first_row[place].encode())
+
+
+def _in_si(values: Array, column: RestColumn) -> _Values:
+    """Return a column in SI units; an empty cell stays empty."""
+    known = np.where(values == EMPTY, EMPTY, column.factor * values + column.offset)
+    return _Values(known, column.factor * rounding_sd(values[values != EMPTY]), column.stated is not None)
+
+
+def _told(path: Path, columns: Sequence[RestColumn]) -> list[str]:
+    """Return which columns were read as what, where their names are not the own ones."""
+    others = [column for column in columns if column.name != column.quantity]
+    said = ", ".join(f"{c.name} as {c.quantity}" for c in others)
+    return [f"{short_name(path)}: columns recognised by their names: {said}"] if others else []
+
+
+def _left_out(path: Path, names: Sequence[str]) -> list[str]:
+    return [f"{short_name(path)}: columns not read: {', '.join(names)}"] if names else []
+
+
+def _stacked(columns: dict[str, _Values], names: Sequence[str]) -> Array:
+    return np.column_stack([columns[name].si for name in names])
+
+
+def _temperature(columns: dict[str, _Values], row: int) -> float | None:
+    value = columns["temperature"].si[row] if "temperature" in columns else EMPTY
     return None if value == EMPTY else float(value)
 
 

@@ -176,7 +176,7 @@ _LATE = {"offset"}
 
 _ARRIVAL = {"arrival", "utc", "received", "host", "log", "unix"}
 _THERMOMETER = {
-    *("temp", "temperature", "celsius", "degc"),
+    *("temp", "temperature", "celsius", "degc", "degf"),
     *("temperatur", "temperatura", "temperatuur"),
 }
 _RATES_HZ = {
@@ -335,7 +335,8 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
             units or not _COUNTERS & set(rest)
         )
         by_unit = bracket in _TIME_UNITS
-        if (is_time or by_unit) and not set(rest) & (_NEITHER - _LATE | _THERMOMETER):
+        other = set(rest) & (_NEITHER - _LATE) or _is_thermometer(bracket, words)
+        if (is_time or by_unit) and not other:
             late = bool(set(words) & (_ARRIVAL | _LATE)) or not is_time
             stamps = Stamps(name, "_".join(rest), units[0] if units else None)
             found.append((late, _OF_MESSAGE not in words, place, stamps))
@@ -356,13 +357,19 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
     found = []
     for name in names:
         bracket, words = _words(name)
-        if set(words) & _THERMOMETER or words[-2:] == ["deg", "c"]:
+        if _is_thermometer(bracket, words):
             kelvin = bool({"k", "kelvin"} & {bracket, *words})
             fahrenheit = bool({"degf", "f", "fahrenheit"} & {bracket, *words})
             unit: Literal["degC", "K", "degF"] = "K" if kelvin else "degF" if fahrenheit else "degC"
             found.append((label not in words and label != "", name, unit))
     found.sort(key=lambda f: f[0])
     return (found[0][1], found[0][2]) if found and (not found[0][0] or len(found) == 1) else None
+
+
+def _is_thermometer(bracket: str, words: Sequence[str]) -> bool:
+    """Whether a column holds temperatures: by a word, or by a unit, as in T [°C]."""
+    by_unit = _spelled(bracket) in _THERMOMETER or (list(words) == ["t"] and bracket in {"c", "f", "k"})
+    return bool(set(words) & _THERMOMETER) or list(words[-2:]) == ["deg", "c"] or by_unit
 
 
 def spaced(text: str) -> str:

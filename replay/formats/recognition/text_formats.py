@@ -125,7 +125,7 @@ def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
     if names[:1] == ["loopIteration"]:
         return TextFormat(BETAFLIGHT, _cut_as(load_map("csv"), delimiter))
     if _is_rest_table(names, [_split(line, delimiter) for line in lines[1:]], whole=whole):
-        return TextFormat(REST, load_map("csv"))
+        return TextFormat(REST, _cut_as(load_map("csv"), delimiter))
     for name in sorted(builtin_formats(), key=lambda n: n != "csv"):
         column_map = load_map(name)
         fits = column_map.header and find_columns(_needed(column_map), names, len(names)) is not None

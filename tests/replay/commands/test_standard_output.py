@@ -151,8 +151,8 @@ def test_what_a_pipe_gave_goes_to_no_other_load(tmp_path: Path) -> None:
         threading.Thread(target=pipe.write_bytes, args=[text], daemon=True).start()
         reading = Reading()
         assert reading.is_rest_table(pipe)
-    assert reading.rests(pipe)[0].specific_force[2] == 0.2
-    assert len(reading.rests(pipe)) == 6, "the same reading gives its bytes again"
+    assert reading.rest_table(pipe).rests[0].specific_force[2] == 0.2
+    assert len(reading.rest_table(pipe).rests) == 6, "the same reading gives its bytes again"
 
 
 def test_a_diagnosis_comes_through_a_pipe(folder: Path, tmp_path: Path) -> None:

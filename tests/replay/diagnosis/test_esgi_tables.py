@@ -139,3 +139,9 @@ def test_temperatures_in_whole_kelvins_are_those_of_a_smooth_course() -> None:
 def test_temperatures_that_a_chamber_was_set_to_stay() -> None:
     steps = np.repeat([25.0, 15.0, 5.0, 15.0, 25.0, 35.0], 8)
     np.testing.assert_array_equal(warmed(steps).temperature, steps)
+
+
+def test_rates_printed_in_degrees_have_the_rounding_of_degrees() -> None:
+    rates = np.radians(np.round(np.random.default_rng(2).normal(0.4, 0.05, (20, 3)), 2))
+    bins = rest_bins([structs.replace(rest(30.0 * i), rate=rate) for i, rate in enumerate(rates)])
+    np.testing.assert_allclose(bins.rate_rounding, np.radians(0.01) / 12**0.5)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.names import find_stamps, find_thermometer
 from stillcal.replay.formats.trace import Recording, read_all
 from tests.support.log_files import DATA, text
 
@@ -180,3 +181,10 @@ def test_rates_whose_axes_are_not_known_are_named(tmp_path: Path) -> None:
     )
     assert recording.gyroscope is None
     assert "not read, since they name no axes x, y, z: rotationRate.alpha" in recording.notes[0]
+
+
+def test_a_temperature_that_is_called_t_is_not_the_time() -> None:
+    for name, unit in (("T [°C]", "degC"), ("T (K)", "K"), ("T_degC", "degC")):
+        names = ["time", "ax", "ay", "az", name]
+        assert find_thermometer(names, "") == (name, unit)
+        assert [stamps.column for stamps in find_stamps(names)] == ["time"]
