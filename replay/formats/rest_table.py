@@ -129,7 +129,8 @@ def _columns(found: Path | Source) -> tuple[dict[str, _Values], list[str]]:
         what = f"column {wanted[i].name!r} holds no finite number"
         raise TraceError(path, what, "correct or delete that row", int(lines[row]))
     found_columns = {c.quantity: _in_si(values[:, i], c) for i, c in enumerate(wanted)}
-    return found_columns, [*_told(path, wanted), *_left_out(path, unread)]
+    passed_over = [f"{short_name(path)}: {note}" for note in table.notes]
+    return found_columns, [*_told(path, wanted), *_left_out(path, unread), *passed_over]
 
 
 def _table(found: Path | Source) -> TextTable:

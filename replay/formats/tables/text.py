@@ -315,7 +315,7 @@ def _has(cells: Sequence[str], key: Sequence[tuple[int, str]]) -> bool:
 
 
 class _LinesAbove:
-    """The lines above the first row: where logs were joined they stand between rows again."""
+    """The lines above the first row: where logs were joined they stand between rows again. So do comments."""
 
     def __init__(self, lines: Sequence[str]) -> None:
         self._lines = frozenset(filter(None, lines))
@@ -327,13 +327,17 @@ class _LinesAbove:
         """Forget what was met: the table is read from its start."""
         self._met = 0
         self._first_met = 0
+        self._comments = 0
 
     def are_in(self, data: bytes) -> bool:
         """Whether some of them may be among the lines of `data`."""
-        return any(mark in data for mark in self._marks)
+        return b"\n#" in data or data.startswith(b"#") or any(mark in data for mark in self._marks)
 
     def passed_over(self, line: str, number: int) -> bool:
         """Whether a line is one of them; if so, it is counted."""
+        if line.startswith("#") and line not in self._lines:
+            self._comments += 1
+            return True
         if line.removeprefix("\ufeff") not in self._lines:
             return False
         self._first_met = self._first_met or number
@@ -342,10 +346,11 @@ class _LinesAbove:
 
     @property
     def notes(self) -> list[str]:
-        """What is to be said of it, in one line, or nothing."""
+        """What is to be said of it, a line each."""
+        comments = f"lines that begin with # between the rows, passed over: {self._comments}"
         lines = "1 line repeats" if self._met == 1 else f"{self._met} lines repeat"
         said = f"{lines} the header and what stands above it (first line {self._first_met}): passed over"
-        return [said] if self._met else []
+        return [said] * bool(self._met) + [comments] * bool(self._comments)
 
 
 def has_rows(source: Source) -> bool:

@@ -129,3 +129,12 @@ def test_rates_that_may_be_either_are_read_with_a_note(tmp_path: Path, matrix: A
     path.write_text("\n".join(["ax,ay,az,gx,gy,gz", *lines(force, np.radians(rate) + force @ matrix)]) + "\n")
     notes = open_rest_table(path).notes
     assert len(notes) == said and all("name them gx [deg/s]" in note for note in notes)
+
+
+def test_comments_between_rows_are_passed_over(tmp_path: Path) -> None:
+    """They ended in an error, and so did a row that somebody had crossed out with a #."""
+    path, rows = tmp_path / "r.csv", lines(MINUTES, UP * G)
+    path.write_text("\n".join(["t,ax,ay,az", rows[0], "# heater on", f"#{rows[1]}", rows[1], rows[2]]) + "\n")
+    table = open_rest_table(path)
+    np.testing.assert_allclose([rest.specific_force for rest in table.rests], UP * G, atol=1e-5)
+    assert table.notes == ["r.csv: lines that begin with # between the rows, passed over: 2"]
