@@ -144,7 +144,10 @@ def _gyroscope(
     if samples is None:
         return None
     slow: list[NoiseModel | None] = [None] * 3
+    bias = affine.rate_bias
     if bins.rate is not None:
+        # What walks has no mean: a simulated walk sets out from where the recorded one did.
+        bias = (bins.rate - affine.gyro)[0] if _walks(samples, effects) else bias
         up = affine.baseline.up
         earth = shared_rate(up, ground(samples, bins, up))
         slow = [_wander(bins, bins.rate[:, a] - affine.gyro[:, a], earth[:, a]) for a in range(3)]
@@ -152,7 +155,7 @@ def _gyroscope(
         samples,
         bins,
         effects,
-        bias=affine.rate_bias,
+        bias=bias,
         scale=np.asarray(np.linalg.inv(affine.rate_mapping)),
         slow=slow,
         limit=recording.claims.gyro_range,
@@ -196,7 +199,6 @@ def _noise(
 ) -> Noise:
     """Return the noise that, with the effects on it, has the measured density `level` (3,)."""
     white = level / np.sqrt(_tail_power(samples, effects))
-    walks = any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
     known = [m or NoiseModel(0.0) for m in slow]
     sigma = [m.gauss_markov for m in known]
     taus = [m.tau for m, s in zip(known, sigma, strict=True) if s > 0.0]
@@ -205,8 +207,15 @@ def _noise(
         white=_vector(white),
         flicker=_vector(np.array([m.flicker for m in known]) / FLOOR),
         gauss_markov=() if wandering is None else (wandering,),
-        random_walk=(0.0, 0.0, 0.0) if walks else _vector(np.array([m.walk for m in known])),
+        random_walk=(0.0, 0.0, 0.0)
+        if _walks(samples, effects)
+        else _vector(np.array([m.walk for m in known])),
     )
+
+
+def _walks(samples: Samples, effects: Sequence[Effect]) -> bool:
+    """Whether a random walk of the sensor's bias is among the effects."""
+    return any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
 
 
 def _density(samples: Samples, bins: Bins, rounding: float) -> Array:

@@ -18,6 +18,7 @@ from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.on_input import LeverArm, VibrationTone
+from stillcal.replay.phone.effects.on_settings import GyroBiasRandomWalk
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.settings import SensorSettings
 
@@ -80,3 +81,18 @@ def test_a_phone_has_the_jitter_that_is_compared() -> None:
     made = phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD)
     assert made.clock.jitter_s == pytest.approx(jitter_and_bursts(samples)[0], rel=1e-3)
     assert 0.5e-4 < made.clock.jitter_s < 2e-4, "9e-4 / sqrt(50)"
+
+
+def test_a_simulated_walk_sets_out_from_where_the_recorded_one_did() -> None:
+    """It set out from the mean of the recorded walk: the simulated bias was another one."""
+    force = frozen(np.tile([0.0, 0.0, STANDARD], (T.size, 1)))
+    accel = Samples(Sensor.ACCELEROMETER, frozen(T), force)
+    walk = np.outer(0.01 * np.sqrt(T), [1.0, -1.0, 2.0])
+    gyro = Samples(Sensor.GYROSCOPE, frozen(T), frozen(walk))
+    recording = Recording(accel, gyro, [], Claims(), [])
+    bins = still_bins(accel, gyro)
+    conditions = conditions_of(bins)
+    affine = fit_affine(bins, [], conditions, STANDARD)
+    for effects, bias in (([], affine.rate_bias), ([GyroBiasRandomWalk(density=0.01)], bins.rate[0])):
+        made = phone_of(recording, bins, effects, affine, conditions=conditions, gravity=STANDARD)
+        assert made.gyro is not None and made.gyro.bias == pytest.approx(bias, rel=1e-4)
