@@ -173,14 +173,14 @@ def examine(
     lost = [f for s, x in sensors if (f := stuck(x, s))]
     clear = outside_of(bins, lost)
     between = turns_between(gyroscope, clear, claims.gravity)
-    spoiled = garbled(between)
+    turned = other_axes(between)
+    spoiled = None if turned else garbled(between)
     gone = [*lost, spoiled] if spoiled else lost
     clear = outside_of(bins, gone)
     streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
-    turned = None if spoiled else other_axes(between)
     direct = [*gone, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
     slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     slow_residuals = by_sensor(slow, claims.gravity, covariates, gyroscope) if len(slow) else []

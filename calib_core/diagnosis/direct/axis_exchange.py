@@ -4,7 +4,8 @@ Gravity then does not go where the gyroscope takes it.
 
 Only turns between rests are looked at. A stretch is garbled where most of its turns miss by far, the others
 do not, and one exchange of axes or signs of one sensor, the same for the whole stretch, makes them fit. Where
-one makes the turns of the whole recording fit, the two sensors are not told in the same axes.
+one makes the turns of the whole recording fit, the two sensors are not told in the same axes. Turns about the
+axes that are right fit in any case.
 """
 
 from __future__ import annotations
@@ -82,16 +83,21 @@ def other_axes(found: list[Step]) -> Finding | None:
     if len(found) < LEAST_TURNS:
         return None
     size = _misses(found, np.eye(3))
-    if np.median(size) < FAR:
+    if _far(size) < LEAST_BAD:
         return None
     every = exchanges()
     misses = [_misses(found, change) for change in every]
-    best = int(np.argmin([np.median(miss) for miss in misses]))
-    if np.median(misses[best]) > FAR:
+    best = min(range(len(every)), key=lambda i: (_far(misses[i]), float(np.median(misses[i]))))
+    if _far(misses[best]) > (1.0 - MENDED) * _far(size):
         return None
     none = np.empty(0)
     nats = _nats([*misses[best][:, None]], none, float(len(every))) - _nats([*size[:, None]], none, 1.0)
     return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), DirectEvidence(nats))
+
+
+def _far(size: Array) -> int:
+    """Return how many turns miss by far. size: (n,) rad."""
+    return int(np.count_nonzero(size > FAR))
 
 
 def turns_between(gyroscope: Samples | None, bins: Bins, gravity: float) -> list[Step]:

@@ -6,12 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
 
 
@@ -44,6 +45,33 @@ def test_two_conventions_are_told_by_the_exchange_that_mends_all_turns(
     assert found is not None and (found.effect, found.sensor) == ("axis_exchange", "gyro")
     assert np.array_equal(found.parameters["exchange"].value, mended_by)
     assert garbled(turns) is None
+
+
+def from_face_to_face(seed: int) -> tuple[Samples, Samples]:
+    """Return 16 rests of 8 s, each on a face of the phone, after turns of 2 s about one of its axes."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 16 * 10.0, 0.02)
+    turn, at = np.divmod(t, 10.0)
+    angle = np.pi / 2 * rng.integers(1, 3, size=16)
+    axes = np.eye(3)[rng.integers(3, size=16)]
+    x = np.clip(at / 2.0, 0.0, 1.0)
+    own, share = (angle[:, None] * axes)[turn.astype(int)], x * x * (3.0 - 2.0 * x)
+    before = [Rotation.identity()]
+    for vector in (angle[:, None] * axes)[:-1]:
+        before.append(before[-1] * Rotation.from_rotvec(vector))
+    attitude = Rotation.concatenate(before)[turn.astype(int)] * Rotation.from_rotvec(share[:, None] * own)
+    force = attitude.inv().apply([0.3, 0.2, G]) + rng.normal(0.0, 0.005, (t.size, 3))
+    rate = own * (3.0 * x * (1.0 - x))[:, None] + rng.normal(0.0, 1e-4, (t.size, 3))
+    return Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("change", [SWAPPED, np.diag([-1.0, -1.0, 1.0])])
+def test_turns_about_axes_that_are_right_hide_no_other_convention(change: np.ndarray, seed: int) -> None:
+    """From face to face most turns may be about such an axis: nothing was told, or a stretch of time."""
+    force, spin = from_face_to_face(seed)
+    found = other_axes(turns_between(changed(spin, change), cut(force, spin), G))
+    assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
 
 
 def test_axes_that_are_exchanged_for_a_while_are_told_with_when() -> None:
