@@ -34,6 +34,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     View,
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
+from stillcal.calib_core.diagnosis.slow.about_force import about_point
 from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
@@ -165,6 +166,9 @@ def _fitted(
     about: Mapping[str, float],
 ) -> list[Quantity]:
     kind = kind_of(residuals)
+    if kind == "accel":
+        # A large effect makes the constants of a linear fit false where it was not searched for.
+        residuals = about_point(residuals, [h for w in wanted if (h := proposed(residuals, w)) is not None])
     free = replace(residuals, views=tuple(_freed(v, residuals.gravity) for v in residuals.views))
     effects = [h for w in wanted if (h := proposed(residuals, w)) is not None]
     hypotheses = [_constants(kind, residuals), *effects]

@@ -39,7 +39,7 @@ SETTLED = 0.1
 
 def about_nonlinearity(sensors: Sequence[SensorResiduals]) -> list[SensorResiduals]:
     """Return both sensors' residuals, the accelerometer's anew about the nonlinearity that its rests show."""
-    return [_about(s, _nonlinearity(s)) if s.sensor == "accel" else s for s in sensors]
+    return [about_point(s, _nonlinearity(s)) if s.sensor == "accel" else s for s in sensors]
 
 
 def searched(
@@ -50,7 +50,7 @@ def searched(
     The point is that of a first search's named effects.
     """
     stated = search(residuals)
-    made = _about(residuals, _point(residuals, stated)) if residuals.sensor == "accel" else residuals
+    made = about_point(residuals, _point(residuals, stated)) if residuals.sensor == "accel" else residuals
     return made, stated if made is residuals else search(made)
 
 
@@ -69,7 +69,7 @@ def _point(residuals: SensorResiduals, stated: Sequence[Stated]) -> list[Hypothe
     return [*named, *_nonlinearity(residuals)]
 
 
-def _about(residuals: SensorResiduals, effects: Sequence[Hypothesis]) -> SensorResiduals:
+def about_point(residuals: SensorResiduals, effects: Sequence[Hypothesis]) -> SensorResiduals:
     """Return residuals about effects of the sizes that rests show; the same ones where that is no change."""
     made, own, value = residuals, list(effects), np.zeros(sum(h.sizes.size for h in effects))
     for done in range(ROUNDS + 1 if own else 0):

@@ -9,7 +9,7 @@ from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.about_force import _about, about_nonlinearity, searched
+from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, about_point, searched
 from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import nulls
 
@@ -91,9 +91,9 @@ def test_what_is_taken_off_the_force_is_put_back_across_gravity_too() -> None:
     step = np.outer(t >= 1040.0, [0.06, -0.05, 0.05])
     made = by_sensor(nulls.bins_of(rng, day, quiet, accel_error=step), nulls.G)[0]
     late = made.hypothesis(Step("accel"), {"t_start": 1045.0})
-    about = _about(made, [late])
-    before, after = (r.views[1] for r in (made, about))
-    assert about is not made and before.name == "tangent"
+    moved = about_point(made, [late])
+    before, after = (r.views[1] for r in (made, moved))
+    assert moved is not made and before.name == "tangent"
     own = np.flatnonzero(before.rest == 3)
     jumps = [np.linalg.norm(v.y[:, own[-1]] - v.y[:, own[0]]) for v in (before, after)]
     assert jumps[1] == pytest.approx(jumps[0], rel=0.1)
