@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.clear_bins import (
 )
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
-from stillcal.calib_core.diagnosis.direct.stuck import stuck
+from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
@@ -181,7 +181,8 @@ def examine(
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
-    direct = [*gone, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
+    silent = [f for s, x in sensors if (f := dead(x, s))]
+    direct = [*gone, *silent, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
     slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     slow_residuals = by_sensor(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     slow_residuals = about_nonlinearity(slow_residuals)

@@ -1,4 +1,4 @@
-"""An axis that gives one value for a while, exactly, when the others go on: it is stuck.
+"""An axis that gives one value for a while, or throughout, when the others go on: it is stuck, or dead.
 
 Values of coarse steps repeat by chance, the oftener the coarser. Evidence is the chance of a run as long,
 from how often the axis repeats otherwise. An axis at the limit of its range,
@@ -25,6 +25,9 @@ MOVES = 0.5
 MOST_REPEATS = 0.5
 """Part of the samples elsewhere that repeat, above which steps are too coarse to tell."""
 
+MANY_VALUES = 100
+"""Different values that each of the other axes must give for one with a single value to be dead."""
+
 
 def stuck(samples: Samples, sensor: str) -> Finding | None:
     """Find the longest run in which one axis of a sensor is stuck."""
@@ -45,13 +48,37 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
     chance = max(float(np.quantile(_shares(elsewhere, block), 0.9)), 1e-9)
     if chance > MOST_REPEATS or others.mean(axis=0).min() > 1.0 - MOVES:
         return None
-    where = Where(float(t[first]), float(t[last]), (0.0, 0.0), "values that stand still")
-    value = float(samples.xyz[first, axis])
     span = f"From {t[first]:.0f} to {t[last]:.0f} s"
-    say = f"{span} the {NAME[sensor]}'s {AXES[axis]} axis is stuck at {value:.4g}."
-    # As many repeats in a row, each with the chance of one elsewhere, on any axis, from any sample on.
-    seen = DirectEvidence(of_chance(length * float(np.log(chance)), 3.0 * t.size))
-    sizes = sized({"value": (value, UNIT[sensor]), "samples": (float(length + 1), "1")})
+    say = f"{span} the {NAME[sensor]}'s {AXES[axis]} axis is stuck at {samples.xyz[first, axis]:.4g}."
+    return _stated(samples, sensor, (axis, first, last), chance, say)
+
+
+def dead(samples: Samples, sensor: str) -> Finding | None:
+    """Find an axis that gives one value from the first sample to the last, when both others go on."""
+    same = np.diff(samples.xyz, axis=0) == 0.0
+    still = same.all(axis=0)
+    if still.sum() != 1 or samples.t[-1] - samples.t[0] < LEAST_S:
+        return None
+    chance = max(float(same[:, ~still].mean(axis=0).max()), 1e-9)
+    few = min(np.unique(column).size for column in samples.xyz[:, ~still].T) < MANY_VALUES
+    if few or chance > MOST_REPEATS:
+        return None
+    axis = int(np.argmax(still))
+    value = f"gives {samples.xyz[0, axis]:.4g} throughout"
+    say = f"The {NAME[sensor]}'s {AXES[axis]} axis {value}: it is dead, or was not recorded."
+    return _stated(samples, sensor, (axis, 0, len(samples) - 1), chance, say)
+
+
+def _stated(
+    samples: Samples, sensor: str, run: tuple[int, int, int], chance: float, say: str
+) -> Finding | None:
+    """State a run of one value: axis, first and last sample. chance: of a repeat by chance."""
+    axis, first, last = run
+    where = Where(float(samples.t[first]), float(samples.t[last]), (0.0, 0.0), "values that stand still")
+    # As many repeats in a row, each with that chance, on any axis, from any sample on.
+    seen = DirectEvidence(of_chance((last - first) * float(np.log(chance)), 3.0 * len(samples)))
+    value = float(samples.xyz[first, axis])
+    sizes = sized({"value": (value, UNIT[sensor]), "samples": (last - first + 1.0, "1")})
     return direct_finding("unknown", sensor, [axis], where, sizes, statement=say, seen=seen)
 
 

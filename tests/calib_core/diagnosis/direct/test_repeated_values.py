@@ -8,7 +8,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, doubled, held
-from stillcal.calib_core.diagnosis.direct.stuck import stuck
+from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -75,6 +75,18 @@ def test_an_axis_that_is_stuck_is_found_beside_a_limit(value: float) -> None:
     found = stuck(Samples(samples.sensor, samples.t, frozen(values)), "gyro")
     assert found is not None and found.axes == ["y"]
     assert found.where.t_start == pytest.approx(400.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("others", "stated"), [([0, 1], True), ([0], False)])
+def test_an_axis_that_never_changes_is_dead_where_both_others_go_on(
+    others: list[int], *, stated: bool
+) -> None:
+    """Turned about one axis, or never turned, a coarse gyroscope may show none of the others."""
+    samples = recorded(turned(0, others, 2.0))
+    values = np.zeros_like(samples.xyz)
+    values[:, others] = samples.xyz[:, others]
+    found = dead(Samples(samples.sensor, samples.t, frozen(values)), "gyro")
+    assert (found is not None and found.axes == ["z"]) == stated and dead(samples, "gyro") is None
 
 
 @pytest.mark.parametrize(("twice", "stated"), [(7, False), (50, True), (100, True)])
