@@ -99,9 +99,11 @@ def _between_held(t: Array, readings: Array) -> Array:
         return readings
     held = np.diff(t[first])
     usual = float(np.median(held))
-    even = np.abs(held / usual - np.rint(held / usual)) < ALIKE
     large = float(np.median(np.abs(np.diff(readings[first])))) > COARSEST
-    if usual < QUICKEST or large or float(even.mean()) < ONE_STEP:
+    if usual < QUICKEST or large:
+        return readings
+    even = np.abs(held / usual - np.rint(held / usual)) < ALIKE
+    if float(even.mean()) < ONE_STEP:
         return readings
     # Readings that were alike were read, too: the last of them one usual time before another one.
     last = np.maximum(t[first[1:]] - usual, t[first[:-1]])

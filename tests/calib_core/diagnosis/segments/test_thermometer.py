@@ -154,3 +154,9 @@ def test_temperatures_that_a_chamber_was_set_to_are_no_readings_of_a_slow_thermo
 def test_a_thermometer_read_with_each_sample_is_left_alone() -> None:
     readings = rounded(warming(), 0.01)
     np.testing.assert_array_equal(reconstructed(T, readings), readings)
+
+
+def test_readings_at_one_moment_are_left_alone() -> None:
+    """Rows of a table of rests may share a time."""
+    readings = 20.0 + np.arange(24.0) % 5
+    assert reconstructed(np.zeros(24), readings) is readings
