@@ -152,12 +152,11 @@ def _fit(pool: Pool, confirmed: dict[int, bool], task: FitTask) -> Candidate | N
     """
     certain = pool.where(lambda rest: confirmed[id(rest)])
     of_all = _candidate_or_refusal(pool, task)
-    if len(certain.held) == len(pool.held) or isinstance(of_all, NotSupported):
+    if len(certain.held) == len(pool.held):
         return of_all
-    of_certain = _candidate_or_refusal(certain, task)
-    if isinstance(of_certain, NotSupported):
-        return of_all
-    return min(of_certain, of_all, key=lambda c: _rank(c.accelerometer))
+    both = (_candidate_or_refusal(certain, task), of_all)
+    fits = [one for one in both if isinstance(one, Candidate)]
+    return min(fits, key=lambda c: _rank(c.accelerometer)) if fits else of_all
 
 
 def _candidate_or_refusal(pool: Pool, task: FitTask) -> Candidate | NotSupported:
