@@ -185,7 +185,8 @@ def _sensor(
         rate_hz=round(rate, 6),
         bias=_vector(bias),
         scale=_matrix(scale),
-        noise=_noise(samples, effects, level, slow),
+        # What wanders is the walk, where one was found: other slow noise fitted to it would come on top.
+        noise=_noise(samples, effects, level, [None] * 3 if _walks(samples, effects) else slow),
         lsb=lsb,
         range=limit,
     )
@@ -207,9 +208,7 @@ def _noise(
         white=_vector(white),
         flicker=_vector(np.array([m.flicker for m in known]) / FLOOR),
         gauss_markov=() if wandering is None else (wandering,),
-        random_walk=(0.0, 0.0, 0.0)
-        if _walks(samples, effects)
-        else _vector(np.array([m.walk for m in known])),
+        random_walk=_vector(np.array([m.walk for m in known])),
     )
 
 

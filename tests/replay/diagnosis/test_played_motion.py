@@ -96,3 +96,24 @@ def test_a_simulated_walk_sets_out_from_where_the_recorded_one_did() -> None:
     for effects, bias in (([], affine.rate_bias), ([GyroBiasRandomWalk(density=0.01)], bins.rate[0])):
         made = phone_of(recording, bins, effects, affine, conditions=conditions, gravity=STANDARD)
         assert made.gyro is not None and made.gyro.bias == pytest.approx(bias, rel=1e-4)
+
+
+def test_a_walk_that_was_found_is_not_played_again_as_other_slow_noise() -> None:
+    """Fitted to the walk, flicker noise was added to it: ten times the noise level at 1 Hz."""
+    rng = np.random.default_rng(3)
+    t = np.arange(0.0, 1200.0, 0.5)
+    force = frozen(np.tile([0.0, 0.0, STANDARD], (t.size, 1)))
+    accel = Samples(Sensor.ACCELEROMETER, frozen(t), force)
+    walk = np.cumsum(rng.normal(0.0, 1e-4, (t.size, 3)), axis=0) + rng.normal(0.0, 1e-4, (t.size, 3))
+    gyro = Samples(Sensor.GYROSCOPE, frozen(t), frozen(walk))
+    recording = Recording(accel, gyro, [], Claims(), [])
+    bins = still_bins(accel, gyro)
+    conditions = conditions_of(bins)
+    affine = fit_affine(bins, [], conditions, STANDARD)
+    slow = []
+    for effects in ([], [GyroBiasRandomWalk(density=1e-4)]):
+        made = phone_of(recording, bins, effects, affine, conditions=conditions, gravity=STANDARD)
+        assert made.gyro is not None
+        noise = made.gyro.noise
+        slow.append(any([*noise.flicker, *noise.random_walk, *(any(g.sigma) for g in noise.gauss_markov)]))
+    assert slow == [True, False]
