@@ -160,11 +160,12 @@ def findings_of(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Findi
 def statements_of(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]:
     """Turn forward steps into findings, each estimated with the others beside it.
 
-    Where none of the steps stands, what was a rival of the first one is tried, the likeliest first: the
-    search was sure that there is structure, and only its shape was wrong.
+    Where none of the steps stands, the first one is tried by itself: beside a later one without a name, which
+    follows anything where rests are few, its size was not known. Then what was a rival of it is tried, the
+    likeliest first: the search was sure that there is structure, and only its shape was wrong.
     """
     stated = _standing(residuals, steps)
-    tried = iter(_rivals(steps[0])) if steps else iter(())
+    tried = iter([*steps[:1], *_rivals(steps[0])]) if steps else iter(())
     while not stated and (rival := next(tried, None)):
         stated = _standing(residuals, [rival])
     return stated

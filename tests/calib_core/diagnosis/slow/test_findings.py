@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cache
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -19,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.slow import findings
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import (
     Stated,
@@ -27,7 +29,14 @@ from stillcal.calib_core.diagnosis.slow.findings import (
     not_unknown_twice,
     slow_findings,
 )
-from stillcal.calib_core.diagnosis.slow.search import adequate, forward, ranking, reduce_residuals, score
+from stillcal.calib_core.diagnosis.slow.search import (
+    Step,
+    adequate,
+    forward,
+    ranking,
+    reduce_residuals,
+    score,
+)
 from tests.support.diagnosis import nulls
 
 
@@ -251,3 +260,25 @@ def test_a_second_step_that_may_undo_the_first_takes_the_name_of_both() -> None:
     up = of(2e-3, 0.0, 0.0)
     assert _to_and_fro([up, of(-2e-3, 1e-4, 0.0)]) == "gyro_bias_step"
     assert _to_and_fro([up, of(-2e-3, 1e-3, 0.0)]) == "" == _to_and_fro([up])
+
+
+@pytest.mark.parametrize("stands", ["named", "unknown"])
+def test_where_two_steps_do_not_stand_together_the_first_is_tried_alone_before_its_rivals(
+    stands: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a course that follows anything no size is known: of few rests a right name was never stated."""
+
+    def scored(name: str, value: float) -> SimpleNamespace:
+        return SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(name=name)), score=value)
+
+    first = Step(scored("named", 30.0), (scored("unknown", 28.0),))
+    second = Step(scored("unknown", 10.0), ())
+    tried = []
+
+    def standing(residuals: object, steps: list[Step]) -> list[str]:
+        tried.append([s.winner.hypothesis.effect.name for s in steps])
+        return [stands] if tried[-1] == [stands] else []
+
+    monkeypatch.setattr(findings, "_standing", standing)
+    assert findings.statements_of(None, [first, second]) == [stands]
+    assert tried == [["named", "unknown"], ["named"], ["unknown"]][: 2 if stands == "named" else 3]
