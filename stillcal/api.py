@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stillcal.calib_core.calibration.adoption import beginning_of, refusals, with_terms
+from stillcal.calib_core.calibration.adoption import adopt, beginning_of
 from stillcal.calib_core.calibration.record import AccelerometerRecord, CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.engine.actions import Publish, Reject
@@ -219,11 +219,10 @@ class Calibration:
         not. `apply` uses them, and `save` keeps the calibration without them in the history. Raises
         NotSupported where none of the findings can be taken up, and says why.
         """
-        findings, diagnosed = diagnosis.findings, beginning_of(diagnosis.answer)
-        record = with_terms(self.record, findings, diagnosed)
+        record, left_out = adopt(self.record, diagnosis.findings, beginning_of(diagnosis.answer))
         t = 0.0 if record.fitted_at is None else record.fitted_at
         actions = (*self._actions, Publish(t, record, "terms from a diagnosis"))
-        return Calibration(record, None, actions, refusals(self.record, findings, diagnosed))
+        return Calibration(record, None, actions, left_out)
 
     def save(self, path: PathLike) -> None:
         """Put the calibration into a store, a JSON file, as `stillcal replay --store` does.

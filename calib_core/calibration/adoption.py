@@ -69,21 +69,14 @@ def beginning_of(answer: Mapping[str, Any]) -> Beginning | None:
     return None if began is None else from_plain(began, Beginning)
 
 
-def refusals(
+def adopt(
     record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], diagnosed: Beginning | None = None
-) -> dict[str, str]:
-    """Return why `with_terms` leaves findings out, by effect. ValueError on a malformed finding."""
-    return _sorted_out(record, findings, diagnosed)[1]
-
-
-def with_terms(
-    record: CalibrationRecord, findings: Iterable[Mapping[str, Any]], diagnosed: Beginning | None = None
-) -> CalibrationRecord:
+) -> tuple[CalibrationRecord, dict[str, str]]:
     """Return the calibration with terms for those findings (of `diagnose --json`) that can be applied.
 
-    A finding replaces an earlier term of the same effect. diagnosed: the beginning of the recording that was
-    diagnosed, None where unknown. Raises NotSupported where none of the findings can be applied; ValueError
-    on a malformed finding.
+    The second is why others are left out, by effect. A finding replaces an earlier term of the same effect.
+    diagnosed: the beginning of the recording that was diagnosed, None where unknown. Raises NotSupported
+    where none of the findings can be applied; ValueError on a malformed finding.
     """
     fresh, refused = _sorted_out(record, findings, diagnosed)
     if not fresh:
@@ -101,7 +94,7 @@ def with_terms(
     for sensor, refitted in ((Sensor.ACCELEROMETER, _accelerometer), (Sensor.GYROSCOPE, _gyroscope)):
         if any(term.sensor == sensor for term in refitting):
             after = refitted(record, after, known, started)
-    return after
+    return after, refused
 
 
 def _sorted_out(
@@ -155,7 +148,7 @@ def _reason(terms: Iterable[Term], refitting: Collection[Term]) -> str:
 
 
 def terms_of(record: CalibrationRecord, findings: Iterable[Mapping[str, Any]]) -> dict[str, Term]:
-    """Return the terms, by effect, of those findings that can be applied; errors as `with_terms`."""
+    """Return the terms, by effect, of those findings that can be applied; errors as `adopt`."""
     return {f["effect"]: _term(record, f) for f in findings if not refusal(f)}
 
 

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.calibration.adoption import beginning_of, refusals, with_terms
+from stillcal.calib_core.calibration.adoption import adopt, beginning_of
 from stillcal.calib_core.calibration.corrections.charging_heat import BY_CHARGING
 from stillcal.calib_core.calibration.corrections.term import Term, lag_of
 from stillcal.calib_core.calibration.record import CalibrationRecord, SensorRecord
@@ -147,8 +147,7 @@ def adopt_terms(path: Path, diagnosis: Path) -> None:
             raise ValueError(f"{path}: holds no calibration: run stillcal replay or the daemon first")
         try:
             found, diagnosed = _findings(diagnosis)
-            record = with_terms(document.current, found, diagnosed)
-            refused = refusals(document.current, found, diagnosed)
+            record, refused = adopt(document.current, found, diagnosed)
         except KeyError as error:
             raise ValueError(f"{input_name(diagnosis)}: a finding lacks its {error.args[0]}") from error
         except (TypeError, AttributeError) as error:

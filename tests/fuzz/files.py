@@ -9,7 +9,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from stillcal.calib_core.calibration.adoption import with_terms
+from stillcal.calib_core.calibration.adoption import adopt
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.engine.engine import Engine
 from stillcal.calib_core.engine.state import EngineState
@@ -91,7 +91,7 @@ def _feed_diagnosis(data: bytes) -> None:
         path.write_bytes(data)
         refused = (ValueError, KeyError, TypeError, AttributeError)  # adopt-terms makes one line of these
         with contextlib.suppress(*refused):
-            render(StoreDocument(current=with_terms(_warm_record(), *_findings(path))))
+            render(StoreDocument(current=adopt(_warm_record(), *_findings(path))[0]))
 
 
 def _map_seeds() -> list[bytes]:

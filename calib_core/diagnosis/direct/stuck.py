@@ -55,12 +55,12 @@ def stuck(samples: Samples, sensor: str) -> Finding | None:
 
 def dead(samples: Samples, sensor: str) -> Finding | None:
     """Find an axis that gives one value from the first sample to the last, when both others go on."""
-    same = np.diff(samples.xyz, axis=0) == 0.0
-    still = same.all(axis=0)
+    still = (samples.xyz == samples.xyz[:1]).all(axis=0)
     if still.sum() != 1 or samples.t[-1] - samples.t[0] < LEAST_S:
         return None
-    chance = max(float(same[:, ~still].mean(axis=0).max()), 1e-9)
-    few = min(np.unique(column).size for column in samples.xyz[:, ~still].T) < MANY_VALUES
+    others = samples.xyz[:, ~still]
+    chance = max(float((np.diff(others, axis=0) == 0.0).mean(axis=0).max()), 1e-9)
+    few = min(np.unique(column).size for column in others.T) < MANY_VALUES
     if few or chance > MOST_REPEATS:
         return None
     axis = int(np.argmax(still))

@@ -48,7 +48,7 @@ def rest_columns(names: Sequence[str], path: Path) -> list[RestColumn]:
     """Return the columns that a rest table is read from. Raises TraceError where a unit is not known."""
     scatter = {_SCATTER_WORD.sub("", name).strip("_. "): name for name in names if _SCATTER_WORD.search(name)}
     means = [name for name in names if name not in scatter.values()]
-    found = [
+    return [
         *_three(means, Sensor.ACCELEROMETER, FORCE, path),
         *_three(means, Sensor.GYROSCOPE, RATE, path),
         *(
@@ -57,7 +57,6 @@ def rest_columns(names: Sequence[str], path: Path) -> list[RestColumn]:
         ),
         *_single(means),
     ]
-    return found
 
 
 def _three(names: Sequence[str], sensor: Sensor, own: Sequence[str], path: Path) -> Iterator[RestColumn]:

@@ -20,7 +20,6 @@ from msgspec.structs import replace as replaced
 from stillcal.api import Calibration, Diagnosis
 from stillcal.calib_core.accelerometer.parameters import basis, inverse, names
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.bias_curve.learn import learn_accelerometer, learn_gyroscope
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate
 from stillcal.calib_core.calibration.corrections.base import Drivers
@@ -42,6 +41,7 @@ from stillcal.calib_core.temperature.memory import Memory
 from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.store.document import StoreFormatError, parse, render
 from stillcal.daemon.store.store import Store
+from tests.support.adopted import with_terms
 
 ACCEL, GYRO = Sensor.ACCELEROMETER, Sensor.GYROSCOPE
 G = 9.81

@@ -10,7 +10,6 @@ import pytest
 
 from stillcal.api import calibrate
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import correct
 from stillcal.calib_core.errors import NotSupported
@@ -21,6 +20,7 @@ from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone import load_phone, simulate
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.scenario import Scenario
+from tests.support.adopted import with_terms
 
 SCALE = np.array([1.01, 0.99, 1.01])
 QUADRATIC, CUBIC = np.array([0.01, -0.012, 0.01]), np.array([0.004, 0.004, -0.004])

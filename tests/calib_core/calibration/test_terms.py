@@ -12,7 +12,6 @@ import pytest
 from click.testing import CliRunner
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.calibration.adoption import with_terms
 from stillcal.calib_core.calibration.candidate import CalibrateSettings, fit_candidate, with_updated_bias
 from stillcal.calib_core.calibration.corrections.term import Term, TermParameter
 from stillcal.calib_core.calibration.drift_check import QualitySettings, Verdict, check_calibration
@@ -32,6 +31,7 @@ from stillcal.daemon.cli.store import store_group
 from stillcal.daemon.service.live_stream import LiveBlock, LiveStream
 from stillcal.daemon.store.store import Store
 from stillcal.replay.phone import draw_rests, load_phone
+from tests.support.adopted import with_terms
 
 SLOPE = np.array([0.012, -0.008, 0.01])
 SENSITIVITY = 1e-4 * np.array([[1.0, 0.2, 0.0], [0.0, -2.0, 0.3], [0.5, 0.0, 1.5]])
