@@ -98,7 +98,7 @@ def split_as(row: str, line: str) -> list[str]:
 
 def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:
     """Return names with the units that a line below the header gives them."""
-    plain = [unit.replace("(", "").replace(")", "") for unit in units]
+    plain = [re.sub(r"[\[\]()]", "", unit).strip() for unit in units]
     return [f"{name} [{unit}]" if unit else name for name, unit in zip(names, plain, strict=True)]
 
 

@@ -55,6 +55,11 @@ TABLES = {
         "min,m/s^2,m/s^2,m/s^2,deg/s,deg/s,deg/s,°C",
         *lines(MINUTES, UP * G, np.degrees(RATES), CELSIUS),
     ],
+    "a line of units in brackets": [
+        "t,ax,ay,az,gx,gy,gz,temperature",
+        "[min],[m/s²],[m/s²],[m/s²],[°/s],[°/s],[°/s],[°C]",
+        *lines(MINUTES, UP * G, np.degrees(RATES), CELSIUS),
+    ],
     "blank lines": ["ax,ay,az,gx,gy,gz,temperature", "", *lines(UP * G, RATES, CELSIUS), ""],
 }
 
