@@ -27,7 +27,7 @@ _SCATTER_WORD = re.compile(
     r"(?:^|[_. ]+)(?:sd|std|stdev|stddev|sigma)(?=[_. \[(]|$)|^s(?=a[xyz]\b)", re.IGNORECASE
 )
 _DURATION = re.compile(r"^(?:duration|dauer|length)(?=[_. \[(]|$)", re.IGNORECASE)
-_COUNTS = {"n", "samples", "n_samples", "count"}
+_COUNT = re.compile(r"^(?:n|samples|n_samples|count)(?=[ \[(]|$)", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def _single(names: Sequence[str]) -> Iterator[RestColumn]:
         if own is not None:
             factor = seconds[own.unit or "s"]
             yield RestColumn(candidates[str(own.column)], quantity, factor, 0.0, own.unit)
-    yield from [RestColumn(name, "n") for name in names if name.strip().lower() in _COUNTS][:1]
+    yield from [RestColumn(name, "n") for name in names if _COUNT.match(name.strip())][:1]
     thermometer = find_thermometer(names, "")
     if thermometer is not None:
         factor, offset = TemperatureMap(column=thermometer[0], unit=thermometer[1]).celsius

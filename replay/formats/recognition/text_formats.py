@@ -103,12 +103,14 @@ def _of_lines(lines: list[str], whole: bool) -> TextFormat:
     )
     skip = form.column_map.skip_lines + before
     placed = msgspec.structs.replace(form.column_map, skip_lines=skip, lines_after_header=after)
-    if form.name not in (UNKNOWN, "csv") or not after:
+    if form.name not in (UNKNOWN, REST, "csv") or not after:
         return replace(form, column_map=placed)
-    below, row = lines[before + after], lines[before + after + 1]
-    names, units = (split_as(row, line) for line in (uncommented(lines[before]), below))
-    told = with_units(names, units) if len(units) == len(names) and units != names else None
-    return TextFormat(UNKNOWN, placed, names=told, rate_hz=form.rate_hz)
+    row = lines[before + after + 1]
+    names, *below = (split_as(row, uncommented(line)) for line in lines[before : before + after + 1])
+    units = next((cells for cells in below if len(cells) == len(names)), names)
+    told = with_units(names, units) if units != names else None
+    name = REST if form.name == REST else UNKNOWN
+    return TextFormat(name, placed, names=told, rate_hz=form.rate_hz)
 
 
 def _with_header(lines: list[str], *, whole: bool) -> TextFormat:

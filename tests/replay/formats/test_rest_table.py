@@ -55,6 +55,11 @@ TABLES = {
         "min,m/s^2,m/s^2,m/s^2,deg/s,deg/s,deg/s,°C",
         *lines(MINUTES, UP * G, np.degrees(RATES), CELSIUS),
     ],
+    "a line of units under the own names": [
+        "t,duration,n,ax,ay,az,gx,gy,gz,temperature",
+        "min,s,-,m/s^2,m/s^2,m/s^2,deg/s,deg/s,deg/s,K",
+        *lines(MINUTES, np.ones(3), np.ones(3), UP * G, np.degrees(RATES), CELSIUS + 273.15),
+    ],
     "a line of units in brackets": [
         "t,ax,ay,az,gx,gy,gz,temperature",
         "[min],[m/s²],[m/s²],[m/s²],[°/s],[°/s],[°/s],[°C]",
