@@ -358,8 +358,9 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
     for name in names:
         bracket, words = _words(name)
         if _is_thermometer(bracket, words):
-            kelvin = bool({"k", "kelvin"} & {bracket, *words})
-            fahrenheit = bool({"degf", "f", "fahrenheit"} & {bracket, *words})
+            units = {_spelled(word).removeprefix("deg") for word in (bracket, *words)}
+            kelvin = bool({"k", "kelvin"} & units)
+            fahrenheit = bool({"f", "fahrenheit"} & units)
             unit: Literal["degC", "K", "degF"] = "K" if kelvin else "degF" if fahrenheit else "degC"
             found.append((label not in words and label != "", name, unit))
     found.sort(key=lambda f: f[0])
@@ -368,7 +369,9 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
 
 def _is_thermometer(bracket: str, words: Sequence[str]) -> bool:
     """Whether a column holds temperatures: by a word, or by a unit, as in T [°C]."""
-    by_unit = _spelled(bracket) in _THERMOMETER or (list(words) == ["t"] and bracket in {"c", "f", "k"})
+    unit = _spelled(bracket)
+    of_t = list(words) == ["t"] and unit.removeprefix("deg") in {"c", "f", "k"}
+    by_unit = unit in _THERMOMETER or of_t
     return bool(set(words) & _THERMOMETER) or list(words[-2:]) == ["deg", "c"] or by_unit
 
 

@@ -184,7 +184,16 @@ def test_rates_whose_axes_are_not_known_are_named(tmp_path: Path) -> None:
 
 
 def test_a_temperature_that_is_called_t_is_not_the_time() -> None:
-    for name, unit in (("T [°C]", "degC"), ("T (K)", "K"), ("T_degC", "degC")):
+    for name, unit in (("T [°C]", "degC"), ("T (K)", "K"), ("T_degC", "degC"), ("T [°F]", "degF")):
         names = ["time", "ax", "ay", "az", name]
         assert find_thermometer(names, "") == (name, unit)
         assert [stamps.column for stamps in find_stamps(names)] == ["time"]
+
+
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [("temp [°F]", "degF"), ("Temp (deg F)", "degF"), ("temp °F", "degF"), ("temp [°K]", "K")],
+)
+def test_degrees_of_a_temperature_may_be_others_than_celsius(name: str, unit: str) -> None:
+    """°F was taken as °C, and a slope by temperature was 1.8 times too small."""
+    assert find_thermometer([name], "") == (name, unit)
