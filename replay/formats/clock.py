@@ -209,6 +209,11 @@ def seconds_per_unit(unit: str, stamps: Array, rate_hz: float | None) -> float |
     return _shown_unit(stamps) if unit == "auto" else (TIME_UNITS | LONG_TIME_UNITS)[unit]
 
 
+def unit_since_1970(stamp: float) -> float | None:
+    """Return the length, s, of the unit in which a stamp is a time since 1970; None where it is none."""
+    return next((s for s in TIME_UNITS.values() if _EPOCH_S[0] < stamp * s < _EPOCH_S[1]), None)
+
+
 def _shown_unit(stamps: Array) -> float | None:
     """Return the length of the unit that stamps show themselves to have, s; None where they show none.
 
@@ -223,7 +228,7 @@ def _shown_unit(stamps: Array) -> float | None:
         return None
     typical, first = float(np.median(step)), float(stamps[0])
     units, day = TIME_UNITS.values(), LONG_TIME_UNITS["days"]
-    since_1970 = [s for s in units if _EPOCH_S[0] < first * s < _EPOCH_S[1]]
+    since_1970 = [s for s in [unit_since_1970(first)] if s is not None]
     days = [day] if _SPREADSHEET_DAYS[0] < first < _SPREADSHEET_DAYS[1] else []
     dated = [s for s in (*since_1970, *days) if FASTEST_STEP_S <= typical * s <= SLOWEST_STEP_S]
     in_range = [s for s in units if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]

@@ -14,6 +14,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
 from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.checks.rest_units import judge_forces, judge_rates
+from stillcal.replay.formats.clock import unit_since_1970
 from stillcal.replay.formats.columns import find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.rest_columns import FORCE, RATE, SCATTER, RestColumn, rest_columns
@@ -153,9 +154,11 @@ def _is_dated(table: TextTable, name: str) -> bool:
 
 
 def _in_si(values: Array, column: RestColumn) -> _Values:
-    """Return a column in SI units; an empty cell stays empty."""
-    known = np.where(values == EMPTY, EMPTY, column.factor * values + column.offset)
-    return _Values(known, column.factor * rounding_sd(values[values != EMPTY]), column.stated is not None)
+    """Return a column in SI units; an empty cell stays empty. Times since 1970 show theirs by their size."""
+    shown = unit_since_1970(float(values[0])) if column.quantity == "t" and column.stated is None else None
+    factor = shown or column.factor
+    known = np.where(values == EMPTY, EMPTY, factor * values + column.offset)
+    return _Values(known, factor * rounding_sd(values[values != EMPTY]), column.stated is not None)
 
 
 def _told(path: Path, columns: Sequence[RestColumn]) -> list[str]:

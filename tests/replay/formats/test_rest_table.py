@@ -78,6 +78,16 @@ def test_columns_are_found_by_their_names_and_read_in_their_units(tmp_path: Path
     np.testing.assert_allclose(celsius, CELSIUS, atol=1e-6)
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-3, 1e-9])
+def test_times_since_1970_show_their_unit(tmp_path: Path, unit: float) -> None:
+    """Milliseconds were taken as seconds: a steady drift then had no name."""
+    times = [f"{(1.7e9 + t) / unit:.0f}," for t in MINUTES * 60.0]
+    rows = [t + row for t, row in zip(times, lines(UP * G), strict=True)]
+    (tmp_path / "r.csv").write_text("\n".join(["timestamp,ax,ay,az", *rows]) + "\n")
+    starts = [rest.t_start for rest in read_rest_table(tmp_path / "r.csv")]
+    np.testing.assert_allclose(np.array(starts) - 1.7e9, MINUTES * 60.0, atol=1e-3)
+
+
 def test_what_is_read_by_its_name_and_what_is_not_read_is_said(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
     names = "Position,time [min],ax_mean,ay_mean,az_mean,ax_std,ay_std,az_std,n,duration [s]"
