@@ -13,7 +13,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.static.rest import RestState
 from stillcal.daemon.system.files import short_name
-from stillcal.replay.formats.checks.rest_units import judge_forces, judge_rates
+from stillcal.replay.formats.checks.rest_units import judge_forces, judge_rates, judge_temperatures
 from stillcal.replay.formats.clock import unit_since_1970
 from stillcal.replay.formats.columns import find_columns
 from stillcal.replay.formats.errors import TraceError
@@ -130,6 +130,9 @@ def _columns(found: Path | Source) -> tuple[dict[str, _Values], list[str]]:
         what = f"column {wanted[i].name!r} holds no finite number"
         raise TraceError(path, what, "correct or delete that row", int(lines[row]))
     found_columns = {c.quantity: _in_si(values[:, i], c) for i, c in enumerate(wanted)}
+    if "temperature" in found_columns:
+        celsius = found_columns["temperature"].si
+        judge_temperatures(path, np.where(celsius == EMPTY, np.nan, celsius), lines.tolist())
     passed_over = [f"{short_name(path)}: {note}" for note in table.notes]
     return found_columns, [*_told(path, wanted), *_left_out(path, unread), *passed_over]
 

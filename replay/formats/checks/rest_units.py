@@ -7,6 +7,7 @@ every rest; in rad/s it is 57 times smaller.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,9 @@ _OTHER_RATE = 'say the unit in the names of the columns, as "gx [deg/s]" or "gx 
 
 _GRAVITY = (4.0, 16.0)
 """m/s^2: the median size of the means, with room for bias and scale."""
+
+_TEMPERATURE = (-100.0, 200.0)
+"""degC: no sensor works beyond."""
 
 _LARGEST_BIAS = 0.5
 """rad/s, 29 deg/s: no gyroscope that calibrates has a larger bias; most read 0.1 to 5 deg/s at rest."""
@@ -58,6 +62,17 @@ def judge_forces(path: Path, force: Array) -> None:
     if not _GRAVITY[0] < middle < _GRAVITY[1]:
         what = f"the forces are about {middle:.4g} in size where m/s^2 would give 9.8"
         raise TraceError(path, what, _OTHER_FORCE)
+
+
+def judge_temperatures(path: Path, celsius: Array, lines: Sequence[int]) -> None:
+    """Raise TraceError where a temperature (n,), NaN where there is none, cannot be a sensor's in degC."""
+    wrong = np.flatnonzero((celsius < _TEMPERATURE[0]) | (celsius > _TEMPERATURE[1]))
+    if wrong.size:
+        what = f"{celsius[wrong[0]]:.4g} degC is no temperature of a sensor"
+        remedy = (
+            'leave the cell empty where it is not known, or name the column "temperature [K]" if it is in K'
+        )
+        raise TraceError(path, what, remedy, int(lines[wrong[0]]))
 
 
 def judge_rates(path: Path, force: Array, rate: Array) -> list[str]:

@@ -158,3 +158,13 @@ def test_comments_between_rows_are_passed_over(tmp_path: Path) -> None:
     table = open_rest_table(path)
     np.testing.assert_allclose([rest.specific_force for rest in table.rests], UP * G, atol=1e-5)
     assert table.notes == ["r.csv: lines that begin with # between the rows, passed over: 2"]
+
+
+@pytest.mark.parametrize(
+    ("celsius", "what"),
+    [(CELSIUS + 273.15, r":2: 294.6 degC .* \[K\]"), ([21.0, -999.0, 22.0], ":3: -999 degC")],
+)
+def test_temperatures_that_no_sensor_has_are_refused(tmp_path: Path, celsius: Array, what: str) -> None:
+    """A -999 for a reading that is missing hid what followed temperature."""
+    with pytest.raises(TraceError, match=what):
+        read(tmp_path / "r.csv", "ax,ay,az,temperature", *lines(UP * G, np.array(celsius)))
