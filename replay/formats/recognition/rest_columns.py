@@ -86,7 +86,7 @@ def _single(names: Sequence[str]) -> Iterator[RestColumn]:
             factor = seconds[own.unit or "s"]
             yield RestColumn(candidates[str(own.column)], quantity, factor, 0.0, own.unit)
     yield from [RestColumn(name, "n") for name in names if _COUNT.match(name.strip())][:1]
-    thermometer = find_thermometer(names, "")
+    thermometer = find_thermometer([name for name in names if name == "temperature"] or names, "")
     if thermometer is not None:
         factor, offset = TemperatureMap(column=thermometer[0], unit=thermometer[1]).celsius
         yield RestColumn(thermometer[0], "temperature", factor, offset, thermometer[1])

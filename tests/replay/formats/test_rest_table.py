@@ -168,3 +168,10 @@ def test_temperatures_that_no_sensor_has_are_refused(tmp_path: Path, celsius: Ar
     """A -999 for a reading that is missing hid what followed temperature."""
     with pytest.raises(TraceError, match=what):
         read(tmp_path / "r.csv", "ax,ay,az,temperature", *lines(UP * G, np.array(celsius)))
+
+
+def test_a_column_of_the_own_name_goes_before_others(tmp_path: Path) -> None:
+    *_, celsius = read(
+        tmp_path / "r.csv", "temp_room,ax,ay,az,temperature", *lines(CELSIUS - 5.0, UP * G, CELSIUS)
+    )
+    np.testing.assert_allclose(celsius, CELSIUS)
