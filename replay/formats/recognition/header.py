@@ -62,13 +62,13 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     """Return how many lines stand before the header, and how many between it and the numbers.
 
     Of the lines before the numbers that have their count of cells, the header is the one that names axes,
-    else the last. What follows it and has a number is a row, though it may be a faulty one. (0, 0) where the
-    first line is the header, and where no line is one.
+    else the last. What follows it and has a number is a row, though it may be a faulty one. (0, 0) where no
+    line is one.
     """
     first = first_row(lines) or 0
     before = [i for i in range(first) if lines[i].strip()]
     if len(before) < 2:
-        return 0, 0
+        return (before[0] if before else 0), 0
     width = _width(cells_of(lines[first]))
     names = {i: split_as(lines[first], uncommented(lines[i])) for i in before}
     fitting = [i for i in before if _width(names[i]) == width]

@@ -65,7 +65,7 @@ TABLES = {
         "[min],[m/s²],[m/s²],[m/s²],[°/s],[°/s],[°/s],[°C]",
         *lines(MINUTES, UP * G, np.degrees(RATES), CELSIUS),
     ],
-    "blank lines": ["ax,ay,az,gx,gy,gz,temperature", "", *lines(UP * G, RATES, CELSIUS), ""],
+    "blank lines": ["", "", "ax,ay,az,gx,gy,gz,temperature", "", *lines(UP * G, RATES, CELSIUS), ""],
 }
 
 
