@@ -22,6 +22,9 @@ Mask = NDArray[np.bool_]
 PARTS = 40
 """Groups of pieces that are left out in turn."""
 
+STRETCHES = 20
+"""Parts of the recording that are left out in turn where what is fitted goes with time."""
+
 TAPERED = 1.5
 """Rows of a spectrum by a Hann window that share one independent value (its noise bandwidth)."""
 
@@ -95,12 +98,15 @@ class Regression:
             self.power - 2.0 * self.target @ x + np.einsum("a,nab,b->n", x, self.information, x)
         )
 
-    def jackknifed(self, parts: int) -> tuple[Array, Array, float]:
+    def jackknifed(self, parts: int, *, in_a_row: bool = False) -> tuple[Array, Array, float]:
         """Return parameters, their covariance and the part of the power of left-out pieces explained.
 
+        in_a_row: each group is of pieces that follow each other. A walk moves alike from one piece to the
+        next, so what goes with time is no surer for more pieces of one walk.
         Where all values are exactly 0 (two equal recordings) there is nothing to explain, and the part is 0.
         """
-        part = np.arange(len(self.power)) % parts
+        pieces = np.arange(len(self.power))
+        part = pieces * min(parts, pieces.size) // pieces.size if in_a_row else pieces % parts
         chosen = np.unique(part)
         others = np.array([self.fitted(part != p) for p in chosen])
         explained = sum(

@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE, UNLIKELY
-from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
+from stillcal.calib_core.diagnosis.motion.block_regression import STRETCHES, Regression
 from stillcal.calib_core.maths.f_distribution import log_tail
 
 DRIVER = "rate of turn, with time"
@@ -30,10 +30,10 @@ class DelayTrend:
 
     def __init__(self, sums: Regression, apart: float, about: float) -> None:
         """Estimate it by the last column of a regression about `about`, s; apart: s, how parts disagree."""
-        fitted, covariance, _ = sums.jackknifed(PARTS)
+        fitted, covariance, _ = sums.jackknifed(STRETCHES, in_a_row=True)
         error = float(np.sqrt(covariance[-1, -1] + apart**2 + ALIKE**2))
         self.growth = Measured(about + float(fitted[-1]), error)
-        free = min(PARTS, len(sums.power)) - 1
+        free = min(STRETCHES, len(sums.power)) - 1
         self.log_chance = log_tail((self.growth.value / error) ** 2, 1, free)
 
     @property
