@@ -196,7 +196,9 @@ def _equation(finding: Mapping[str, Any]) -> str:
     text = f'<p class="equation">{escape(pretty(equation))}</p>' if equation else ""
     if "numpy" in finding:
         code = f'<pre class="equation">{escape(finding["numpy"])}</pre>'
-        text += f"<details><summary>NumPy function that takes it out of samples</summary>{code}</details>"
+        whose = "simulation" if finding["relation"] == "superfluous" else "recording"
+        title = f"NumPy function that takes it out of the {whose}'s samples"
+        text += f"<details><summary>{title}</summary>{code}</details>"
     return text
 
 

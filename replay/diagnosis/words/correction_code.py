@@ -1,8 +1,8 @@
 """A finding as an equation, and as a NumPy function to paste that takes the effect out of samples.
 
 `to_paste` returns both for a finding in plain values (JSON schema 2). The function corrects the recording by
-the recording's own parameters. An effect that no function of samples can take out, such as noise, has an
-equation only.
+the recording's own parameters, or, where only the simulation has the effect, the simulation by its own. An
+effect that no function of samples can take out, such as noise, has an equation only.
 """
 
 from __future__ import annotations
@@ -46,8 +46,12 @@ def code_of(finding: Finding) -> str:
 
     It takes t (n,) s, temperature (n,) degC or None, raw force (n, 3) m/s^2 and raw rate (n, 3) rad/s, all of
     one length, and returns t, force and rate without the effect. What is clipped cannot be known: it becomes
-    NaN. Of a bias while charging the function takes that as well.
+    NaN. Of a bias while charging the function takes that as well. What only
+    the simulation has is taken out of the simulation's samples.
     """
+    spare = finding.get("relation") == "superfluous"
+    if spare:
+        finding = {**finding, "parameters": finding["simulated"]}
     kind = finding["effect"].removeprefix("accel_").removeprefix("gyro_")
     body = CODE.get(finding["effect"]) or CODE.get(kind)
     if body is None or not finding["parameters"]:
@@ -65,7 +69,7 @@ def code_of(finding: Finding) -> str:
         "",
         "",
         f"def correct({arguments}):",
-        f'    """Take out {finding["effect"]}: {units}."""',
+        f'    """Take {finding["effect"]} out of the {"simulation" if spare else "recording"}: {units}."""',
         *(f"    {line}" for line in lines),
         "    return t, force, rate",
     ]

@@ -110,6 +110,15 @@ def test_a_nine_number_scale_of_the_gyroscope() -> None:
     np.testing.assert_allclose(rate, RATE, atol=1e-8)
 
 
+def test_what_only_the_simulation_has_is_taken_out_of_the_simulation() -> None:
+    there, none = np.diag([4e-4, -2e-4, 1e-4]), np.full((3, 3), 1e-7)
+    found = finding("gyro_g_sensitivity", "gyro", {"matrix": none.tolist()}, relation="superfluous")
+    found["simulated"] = {"matrix": {"value": there.tolist(), "unit": "(rad/s)/(m/s^2)"}}
+    _, _, rate = pasted(found)(T, None, FORCE, RATE + FORCE @ there.T)
+    np.testing.assert_allclose(rate, RATE, atol=1e-9)
+    assert "out of the simulation" in code_of(found)
+
+
 def test_time_is_put_right() -> None:
     _, _, rate = pasted(finding("accel_gyro_time_offset", "timing", {"delay": 0.02}))(
         T, None, FORCE, 2.0 * np.cos(PHASE - 0.02 * PHASE[1] / T[1])
