@@ -150,18 +150,18 @@ def examine(
     without: Collection[str] = (),
     sound: SoundPhones | None = None,
     covariates: Mapping[str, TimeSeries] | None = None,
-    search: bool = True,
+    sought: Collection[str] | None = None,
     overview: Overview | None = None,
     delivered_twice: int = 0,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> Examination:
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
 
-    covariates: further logged columns by name, which a bias may follow. search: whether slow effects are
-    searched for, which takes most of the time; a simulation that was made with known ones needs only to be
-    measured. overview: every second of the recording, where the samples are only some of it; None where they
-    are all. delivered_twice: samples that came twice and are here once. progress: is called with the share
-    of the work that is done.
+    covariates: further logged columns by name, which a bias may follow. sought: the slow effects of rests
+    that are searched for; None: all of them, those of turns and what has no name, which takes most of the
+    time. A simulation that was made with known ones needs only to be measured. overview: every second of the
+    recording, where the samples are only some of it; None where they are all. delivered_twice: samples that
+    came twice and are here once. progress: is called with the share of the work that is done.
     """
     refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
@@ -189,21 +189,28 @@ def examine(
     stated = [Stated(f) for f in direct]
     progress(MEASURED)
     for done, residuals in enumerate(slow_residuals):
-        if search and not _is_of(spoiled, residuals.sensor):
-            slow_residuals[done], found = searched(residuals, partial(slow_statements, without=without))
+        if (sought is None or sought) and not _is_of(spoiled, residuals.sensor):
+            slow_residuals[done], found = searched(
+                residuals, partial(slow_statements, without=without, sought=sought)
+            )
             stated += found
         progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(slow_residuals))
     made = Examination(accelerometer, gyroscope, claims, slow, streams, slow_residuals, None, None, stated,
                        exchanged=next((f.sensor for f in (spoiled, turned) if f), ""),
                        other_axes=turned)  # fmt: skip
     spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
-    made = _with_motion(made, spoilt, without, sound, search=search)
-    made = _with_tilts(made, seconds, spoilt) if search else made
+    made = _with_motion(made, spoilt, without, sound, in_turns=sought is None)
+    made = _with_tilts(made, seconds, spoilt) if sought is None else made
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
 
 def _with_motion(
-    exam: Examination, spoiled: Sequence[Span], without: Collection[str], sound: SoundPhones, *, search: bool
+    exam: Examination,
+    spoiled: Sequence[Span],
+    without: Collection[str],
+    sound: SoundPhones,
+    *,
+    in_turns: bool,
 ) -> Examination:
     """Return an examination with what motion and the turns between rests show, where there is a gyroscope.
 
@@ -229,7 +236,7 @@ def _with_motion(
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
     turns = None if exam.exchanged else turns
-    if affine is not None and turns is not None and search:
+    if affine is not None and turns is not None and in_turns:
         of_turns = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
         stated += beyond(nameless_tilt([s.finding for s in stated], gravity), of_turns)
     return replace(

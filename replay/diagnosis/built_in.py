@@ -10,7 +10,6 @@ from collections.abc import Collection
 
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
-from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of
@@ -56,7 +55,16 @@ def _played(
     corrected = named(with_known(case.played(case.phone()), case.beside), f"{BUILT_IN}, corrected")
     beside = {known.effect.name for known in case.beside}
     left_out = [effect for effect in case.not_in_phone() if effect not in beside]
-    # What another recording can have as well is measured in both; the rest must be found again.
-    search = any(s.hypothesis and not transferable(s.hypothesis) for s in recorded.statements)
-    after = compare(recorded, examined(corrected, show_stage, search=search), names)
+    after = compare(recorded, examined(corrected, show_stage, sought=_found_again(recorded)), names)
     return Fit.of(before, after, left_out).without_own_constants(), after, corrected
+
+
+def _found_again(recorded: Examination) -> set[str]:
+    """Return the effects that are searched for in the corrected simulation.
+
+    What another recording can have as well is measured in both. What comes at a moment must be found again,
+    and with it what it was found beside.
+    """
+    named = [s for s in recorded.statements if s.hypothesis is not None and s.finding.effect != "unknown"]
+    sensors = {s.finding.sensor for s in named if s.hypothesis and s.hypothesis.effect.recurs}
+    return {s.finding.effect for s in named if s.finding.sensor in sensors}

@@ -54,9 +54,9 @@ def examined(
     *,
     name: str = "",
     without: Collection[str] = (),
-    search: bool = True,
+    sought: Collection[str] | None = None,
 ) -> Examination:
-    """Measure a recording. name: of what is shown; without, search: as for `diagnose.examine`.
+    """Measure a recording. name: of what is shown; without, sought: as for `diagnose.examine`.
 
     Raises NotSupported, with the recording's name, on too little data.
     """
@@ -70,7 +70,7 @@ def examined(
             claims_of(recording),
             without=without,
             covariates=recording.covariates,
-            search=search,
+            sought=sought,
             overview=overview_of(recording),
             delivered_twice=recording.delivered_twice,
             progress=lambda done: show_stage(stage, done),

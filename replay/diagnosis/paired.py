@@ -71,8 +71,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     _refuse_other_stamps(recording, simulation)
     refuse_short(recording, simulation)
     _refuse_other_motion(recording, simulation)
-    recorded = examined(recording, show_stage, search=False)
-    simulated = examined(simulation, show_stage, search=False)
+    recorded = examined(recording, show_stage, sought=())
+    simulated = examined(simulation, show_stage, sought=())
     exams, names = (recorded, simulated), (recording.name, simulation.name)
     show_stage(READINGS, 0.0)
     beside = len(list(slow_effects(recorded)))
@@ -110,7 +110,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
 def _measured(made: Recording, simulated: Examination, played: Sequence[Discrepancy]) -> Examination:
     """Return what a corrected simulation shows, its own values and noise where these were left alone."""
     changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
-    return with_own_values(examined(made, silent, search=False), simulated, changed)
+    return with_own_values(examined(made, silent, sought=()), simulated, changed)
 
 
 def _alike(

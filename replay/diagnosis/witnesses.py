@@ -92,7 +92,7 @@ def judge_with_witnesses(
     beside = [_aligned(recording, one) for one in witnesses]
     others = [one.recording for one in beside]
     recording = _while_there(recording, others)
-    recorded = examined(recording, show_stage, search=False)
+    recorded = examined(recording, show_stage, sought=())
     show_stage(READINGS, 0.0)
     true = mean_readings(recording, others)
     bins, sensors = pair_residuals(less(recording, true), true, charging_events(recording), MISMATCH)

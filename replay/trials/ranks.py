@@ -49,7 +49,7 @@ def residuals_of(trial: int, seed: int) -> list[SensorResiduals]:
     )
     made = make_case(design, seed, trial).recording
     recording = Recording(made.accelerometer, made.gyroscope, list(made.events), made.claims, [])
-    exam: Examination = examined(recording, search=False)
+    exam: Examination = examined(recording, sought=())
     return [*exam.sensors, *([] if exam.turns is None else [exam.turns])]
 
 

@@ -77,8 +77,13 @@ def effects_of(sensor: str, without: Collection[str] = (), *, in_turns: bool = F
     return [e for e in (*every, *unknown_effects(sensor)) if e.in_turns == in_turns]
 
 
-def effects_in(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Effect]:
-    """Return what residuals are judged by: the catalogue, and a bias that follows a further logged column."""
+def effects_in(
+    residuals: SensorResiduals, without: Collection[str] = (), sought: Collection[str] | None = None
+) -> list[Effect]:
+    """Return what residuals are judged by: the catalogue, and a bias that follows a further logged column.
+
+    without: as for `effects_of`. sought: the only names that are judged; None: every one.
+    """
     logged: list[Effect] = []
     if not residuals.turns:
         moments = residuals.moments
@@ -89,7 +94,8 @@ def effects_in(residuals: SensorResiduals, without: Collection[str] = ()) -> lis
             if spread > 0.0
             for effect in covariate_effects(residuals.sensor, name, spread)
         ]
-    return [*logged, *effects_of(residuals.sensor, without, in_turns=bool(residuals.turns))]
+    every = [*logged, *effects_of(residuals.sensor, without, in_turns=bool(residuals.turns))]
+    return [e for e in every if sought is None or e.name in sought]
 
 
 def nameless(effect: Effect) -> Effect:

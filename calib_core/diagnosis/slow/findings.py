@@ -78,15 +78,19 @@ def slow_findings(residuals: SensorResiduals, without: Collection[str] = ()) -> 
     return [s.finding for s in slow_statements(residuals, without)]
 
 
-def slow_statements(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Stated]:
+def slow_statements(
+    residuals: SensorResiduals, without: Collection[str] = (), sought: Collection[str] | None = None
+) -> list[Stated]:
     """Return what the still bins of one sensor show, in the order it was found.
 
-    without: effects that are left out of the catalogue. What jumps from rest to rest leaves is not called
+    without: effects that are left out of the catalogue; sought: the only ones that are in it, None: all of
+    them. What jumps from rest to rest leaves is not called
     wander besides. Where nothing stands, nothing is explained, and wander is all that there is.
     """
-    if len(residuals.bins) < thresholds.LEAST_BINS:
+    effects = effects_in(residuals, without, sought)
+    if len(residuals.bins) < thresholds.LEAST_BINS or not effects:
         return []
-    steps = forward(residuals, effects_in(residuals, without))
+    steps = forward(residuals, effects)
     found, left = _jumps(residuals, steps)
     if found:
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]

@@ -116,7 +116,7 @@ def test_a_limit_that_the_simulation_lacks_clips_it_and_does_not_count_as_left_o
 def test_only_motion_beyond_a_limit_speaks_against_it(most: float, speaks_against: bool) -> None:
     """A corrected simulation stops at the limit itself, where too few samples may lie to find it."""
     made = turned(most)
-    exam = examine(made.accelerometer, made.gyroscope, search=False)
+    exam = examine(made.accelerometer, made.gyroscope, sought=())
     reason = why_not_shown(clipped_at(3.0), exam)
     assert reason == (None if speaks_against else "its motion does not go beyond the limit")
 

@@ -47,7 +47,7 @@ def recorded(seed: int, accel: Signs = SAME, gyro: Signs = SAME) -> Recording:
 )
 def test_whose_axes_are_wrong_the_constants_tell(accel: Signs, gyro: Signs) -> None:
     """A mirrored axis of the accelerometer and two turned ones of the gyroscope look alike in turns."""
-    one, other = examined(recorded(3, accel, gyro), search=False), examined(recorded(8), search=False)
+    one, other = examined(recorded(3, accel, gyro), sought=()), examined(recorded(8), sought=())
     found = exchange_of(one, other)
     assert found is not None and exchange_of(other, one) is None and exchange_of(one, one) is None
     for sensor, signs in (("accel", accel), ("gyro", gyro)):

@@ -50,9 +50,9 @@ def judged(real: Recording, sim: Recording, effect: Effect, grids: Sequence[Grid
         where = Where(grid.get("t_start", bins.span[0]), bins.span[1], (0.0, 0.05), "time")
         finding = Finding(effect.name, "gyro", ["x", "z"], where, {}, Evidence(50.0), [], "")
         stated.append(Stated(finding, residuals.measured(effect, grid), residuals))
-    exam = replace(examined(real, search=False), bins=bins, sensors=sensors, turns=None, statements=stated)
+    exam = replace(examined(real, sought=()), bins=bins, sensors=sensors, turns=None, statements=stated)
     alike = Alignment(true, true, [], [], frozenset())
-    found = with_own_of_simulation(compare_in_pair(exam, alike), exam, examined(sim, search=False))
+    found = with_own_of_simulation(compare_in_pair(exam, alike), exam, examined(sim, sought=()))
     return sorted(found.discrepancies, key=lambda d: d.where.t_start)
 
 

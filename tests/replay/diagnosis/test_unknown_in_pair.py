@@ -56,7 +56,7 @@ def found_in_pair(recorded: float, simulated: float) -> tuple[Comparison, Sensor
     where = Where(*bins.span, (0.0, 0.05), "two levels in time")
     size = Parameter((2.0 * (recorded - simulated) * SWING).tolist(), None, "rad/s")
     said = Finding("unknown", "gyro", ["x"], where, {"amplitude": size}, Evidence(50.0), [], "")
-    exams = [examined(one, search=False) for one in (real, sim)]
+    exams = [examined(one, sought=()) for one in (real, sim)]
     exam = replace(
         exams[0], bins=bins, sensors=sensors, turns=None, statements=[Stated(said, hypothesis, residuals)]
     )
@@ -105,7 +105,7 @@ def test_wander_is_of_the_one_whose_own_rests_wander(name: str, driver: str) -> 
         steps = np.random.default_rng(3).normal(0.0, 5e-4 / np.sqrt(RATE), rate.shape)
         return force, rate + np.cumsum(steps, axis=0)
 
-    exams = [examined(one, search=False) for one in (turned(1), turned(2, wandering))]
+    exams = [examined(one, sought=()) for one in (turned(1), turned(2, wandering))]
     where, size = Where(0.0, 1.0, (0.0, 0.05), driver), Parameter([5e-4] * 3, None, "rad/s/sqrt(s)")
     density = "density" if name.endswith("walk") else "size"
     said = Finding(name, "gyro", ["x"], where, {density: size}, Evidence(50.0), [], "")

@@ -44,7 +44,7 @@ def courses(folder: Path) -> Iterator[tuple[SensorResiduals, Hypothesis, Effect,
                 continue
             if sensors is None:
                 recording = read_all(folder / "recordings" / f"{path.stem}.csv")
-                sensors = examined(recording, search=False).sensors
+                sensors = examined(recording, sought=()).sensors
             for residuals in sensors:
                 named = [
                     e for e in effects_in(residuals) if e.name == truth.effect and e.sensor == truth.sensor

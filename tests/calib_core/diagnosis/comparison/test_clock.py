@@ -29,7 +29,7 @@ def by_a_fast_clock(samples: Samples, *, arrives: bool) -> Samples:
 
 def gyro_scale(recording: Recording) -> Array:
     """Return the scale and misalignment (3, 3) that a comparison would state."""
-    found = linear_quantities(examined(recording, search=False), [], {})
+    found = linear_quantities(examined(recording, sought=()), [], {})
     return found["gyro_scale", "gyro"].value.reshape(3, 3)
 
 

@@ -40,7 +40,7 @@ def test_what_most_devices_show_is_not_worth_telling() -> None:
     twice = np.repeat(sound.xyz, 2, axis=0) + np.random.default_rng(5).normal(0.0, 0.01, (12000, 3))
     twice[6000] = twice[5999]
     samples = Samples(Sensor.ACCELEROMETER, frozen(np.arange(12000) / 100.0), frozen(twice))
-    said = compare_with_ideal(examine(samples, None, search=False))
+    said = compare_with_ideal(examine(samples, None, sought=()))
     assert {"dropped_samples", "held_samples"}.isdisjoint(c.quantity.effect for c in said.common)
 
 

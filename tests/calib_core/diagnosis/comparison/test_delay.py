@@ -18,7 +18,7 @@ NAMES = ("real.csv", "sim.csv")
 
 @pytest.fixture(scope="module")
 def exam() -> Examination:
-    return examined(turned(1, turns=4), search=False)
+    return examined(turned(1, turns=4), sought=())
 
 
 def with_delay(exam: Examination, value: float, error: float = 5e-4) -> Examination:

@@ -107,7 +107,7 @@ EVEN = np.arange(6000.0) / 99.97
 def jitter_apart(recorded: np.ndarray, simulated: np.ndarray) -> Difference:
     """Compare the jitter of two recordings' stamps, s."""
     xyz = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(0).normal(0.0, 0.01, (recorded.size, 3))
-    both = [examine(Samples(Sensor.ACCELEROMETER, t, xyz), None, search=False) for t in (recorded, simulated)]
+    both = [examine(Samples(Sensor.ACCELEROMETER, t, xyz), None, sought=()) for t in (recorded, simulated)]
     return subtract(*(stamp_quantities(exam)["timestamp_jitter", "timing"] for exam in both))
 
 
@@ -140,7 +140,7 @@ def test_a_phone_that_is_never_at_rest_is_not_said_to_have_steps_that_hide_its_n
     rng = np.random.default_rng(2)
     xyz = np.array([0.0, 0.0, 9.81]) + np.outer(np.sin(2.0 * np.pi * 0.7 * t), [3.0, 1.0, 2.0])
     xyz = np.round((xyz + rng.normal(0.0, 0.01, xyz.shape)) / 0.0012) * 0.0012
-    exam = examine(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), None, search=False)
+    exam = examine(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), None, sought=())
     reasons = {c.effect: c.reason for c in checks_of(exam, []) if c.sensor == "accel"}
     assert reasons["vibration_tone"] == reasons["noise_heavy_tailed"] == "0 static intervals, 3 are needed"
 
@@ -151,7 +151,7 @@ def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
     def stepped(step: float, noise: float) -> Examination:
         xyz = np.array([0.3, 0.2, 9.81]) + rng.normal(0.0, noise, (t.size, 3))
         xyz[:50] += np.linspace(0.0, 2.0, 50)[:, None]
-        return examine(Samples(Sensor.ACCELEROMETER, t, step * np.rint(xyz / step)), None, search=False)
+        return examine(Samples(Sensor.ACCELEROMETER, t, step * np.rint(xyz / step)), None, sought=())
 
     found = [s.finding for s in stepped(0.04, 0.006).statements]
     assert [f.effect for f in found] == ["accel_quantisation"]

@@ -30,7 +30,7 @@ def in_a_chamber(seed: int) -> Samples:
 @pytest.mark.parametrize("seed", [0, 2])
 def test_a_large_effect_that_is_not_searched_for_leaves_the_constants_as_they_are(seed: int) -> None:
     """Linear about a bias that changes by 0.45 m/s^2, slopes were off by a half, angles by 0.01 rad."""
-    exam = examine(in_a_chamber(seed), None, search=False)
+    exam = examine(in_a_chamber(seed), None, sought=())
     (own,) = exam.sensors
     effect = BiasTemperature("accel", 1)
     wanted = [Wanted("accel", own.hypothesis(effect, {}), {})]

@@ -19,7 +19,7 @@ def still(cutoff: float | None, seed: int, rate: float = RATE) -> Examination:
     n = int(600.0 * rate)
     xyz = np.random.default_rng(seed).normal([0.0, 0.0, 9.80665], 0.02, (n, 3))
     made = Samples(Sensor.ACCELEROMETER, np.arange(n) / rate, xyz)
-    return examine(made if cutoff is None else low_passed(made, cutoff / rate), None, search=False)
+    return examine(made if cutoff is None else low_passed(made, cutoff / rate), None, sought=())
 
 
 @pytest.mark.parametrize(

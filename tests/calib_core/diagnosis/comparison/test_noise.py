@@ -46,7 +46,7 @@ def test_slow_noise_is_the_allan_deviation_of_averages_over_100_s() -> None:
     spectrum = np.sqrt(density_of * 2 * n * 5.0 / 2.0) * np.exp(2j * np.pi * rng.random((n + 1, 3)))
     rates = np.fft.irfft(spectrum, axis=0)[:n] + 1e-4 * rng.normal(size=(n, 3))
     t, still = np.arange(n) / 5.0, np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(n, 3))
-    exam = examine(Samples(Sensor.ACCELEROMETER, t, still), Samples(Sensor.GYROSCOPE, t, rates), search=False)
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, still), Samples(Sensor.GYROSCOPE, t, rates), sought=())
     slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
     assert slow is not None
     assert np.exp(slow.value).mean() == pytest.approx(floor, rel=0.25)
@@ -59,7 +59,7 @@ def test_what_steps_larger_than_the_noise_leave_in_means_is_no_slow_noise() -> N
     rates[:40] += np.linspace(-0.05, 0.05, 40)[:, None]
     for step, told in ((1e-4, True), (1e-3, False)):
         gyroscope = Samples(Sensor.GYROSCOPE, t, step * np.rint(rates / step))
-        exam = examine(Samples(Sensor.ACCELEROMETER, t, still), gyroscope, search=False)
+        exam = examine(Samples(Sensor.ACCELEROMETER, t, still), gyroscope, sought=())
         slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
         assert (slow is not None) == told
 
@@ -72,5 +72,5 @@ def test_wander_of_a_phone_in_a_train_is_the_trains() -> None:
         "unknown", "accel", [], Where(0.0, 600.0, (0.0, 0.01), NO_DRIVER), {}, Evidence(9.0), [], ""
     )
     for force, motion in ((still, False), (still + pulled, True)):
-        exam = examine(Samples(Sensor.ACCELEROMETER, t, force), None, search=False)
+        exam = examine(Samples(Sensor.ACCELEROMETER, t, force), None, sought=())
         assert _is_motion((found, True), (exam, exam)) == motion

@@ -22,7 +22,7 @@ def lying(*, thermometer: bool) -> Examination:
     xyz = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(0).normal(0.0, 0.01, (t.size, 3))
     warm = frozen(20.0 + t / 60.0) if thermometer else None
     samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz), warm)
-    return examine(samples, None, search=False)
+    return examine(samples, None, sought=())
 
 
 def quantity(effect: str, value: list[float], *, logarithmic: bool = False) -> Quantity:

@@ -20,7 +20,7 @@ def test_the_verdict_agrees_with_its_p_where_no_effect_is_stated(settling: float
     force = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, (t.size, 3))
     rate = rng.normal(0.0, 1e-3, (t.size, 3)) + settling * np.outer(np.exp(-t / 50.0), [1.0, 0.0, 0.0])
     accel = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(force))
-    exam = examine(accel, Samples(Sensor.GYROSCOPE, frozen(t), frozen(rate)), search=False)
+    exam = examine(accel, Samples(Sensor.GYROSCOPE, frozen(t), frozen(rate)), sought=())
     assert exam.statements == []
     said = compare_with_ideal(exam)
     assert said.verdict(said.p()) == verdict and (said.p() < LEVEL) == (verdict == "unidentified")

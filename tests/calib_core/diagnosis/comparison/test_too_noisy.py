@@ -22,7 +22,7 @@ QUIET = {"accel": 1.5e-3, "gyro": 1.2e-4}
 def recorded(seconds: float, noise: float, seed: int) -> Examination:
     density = {sensor: noise * own for sensor, own in QUIET.items()}
     hour = Hour(seconds, rate=25.0, rests=(30.0, 60.0), density=density, wander=noise)
-    return examine(*made(hour, seed), search=False)
+    return examine(*made(hour, seed), sought=())
 
 
 def with_step(exam: Examination, size: float) -> Examination:

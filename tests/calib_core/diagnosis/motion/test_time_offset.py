@@ -117,7 +117,7 @@ def test_turns_on_the_gyroscopes_limit_say_nothing_of_times() -> None:
     """One sample in eleven is clipped: a delay of 14 ms, with an error of 5 ms, was read from them."""
     accelerometer, rate = played(2)
     gyroscope = replace(rate, xyz=frozen(np.clip(rate.xyz, -1.2, 1.2)))
-    exam = examine(accelerometer, gyroscope, search=False)
+    exam = examine(accelerometer, gyroscope, sought=())
     assert {s.finding.effect for s in exam.statements} == {"gyro_saturation"}
     assert exam.delay is not None and abs(exam.delay.value) < 2.0 * exam.delay.error < 3e-3
     limits = on_limits(accelerometer, gyroscope, {"gyro": 1.2})

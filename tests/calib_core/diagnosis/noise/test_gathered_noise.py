@@ -56,7 +56,7 @@ def test_it_is_not_called_the_noise_of_an_axis() -> None:
     rate = 1e-3 * np.concatenate(still.pieces)
     force = np.random.default_rng(5).normal(size=rate.shape) * 0.01 + [0.0, 0.0, 9.81]
     t = np.arange(len(rate)) / RATE
-    exam = examine(Samples(Sensor.ACCELEROMETER, t, force), Samples(Sensor.GYROSCOPE, t, rate), search=False)
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, force), Samples(Sensor.GYROSCOPE, t, rate), sought=())
     found = {(s.finding.effect, s.finding.where.driver) for s in exam.statements}
     assert ("unknown", "frequencies that change from rest to rest") in found
     assert "noise_unequal_axes" not in {effect for effect, _ in found}
@@ -69,7 +69,7 @@ def test_lines_that_come_back_beside_it_are_not_named_besides() -> None:
     t = np.arange(len(rate)) / RATE
     gyroscope = Samples(Sensor.GYROSCOPE, t, rate)
     assert tones(gyroscope, "gyro"), "by themselves they are lines"
-    exam = examine(Samples(Sensor.ACCELEROMETER, t, force), gyroscope, search=False)
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, force), gyroscope, sought=())
     found = {(s.finding.effect, s.finding.where.driver) for s in exam.statements}
     assert ("unknown", "frequencies that change from rest to rest") in found
     assert "vibration_tone" not in {effect for effect, _ in found}

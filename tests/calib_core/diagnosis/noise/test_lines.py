@@ -190,7 +190,7 @@ def test_overtones_of_a_heart_are_no_lines_and_hide_none(*, steady: bool) -> Non
 def test_a_line_that_both_sensors_feel_is_the_forces_alone() -> None:
     force = lying(humming({17.3: 0.004, 31.7: 0.004}))
     rate = lying(humming({31.7: 0.003, 40.1: 0.003, 12.4: 0.003}), 1, Sensor.GYROSCOPE)
-    found = [s.finding for s in examine(force, rate, search=False).statements]
+    found = [s.finding for s in examine(force, rate, sought=()).statements]
     by_sensor = {
         s: sorted(
             round(float(np.mean(f.where.band_hz)), 1)

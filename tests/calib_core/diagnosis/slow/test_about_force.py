@@ -10,7 +10,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, about_point, searched
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
+from stillcal.calib_core.diagnosis.slow.findings import slow_findings, slow_statements
 from tests.support.diagnosis import nulls
 
 AXES = np.array([1.0, -0.7, 0.5])
@@ -73,6 +73,14 @@ def test_a_bias_that_changes_much_leaves_nothing_else_about_the_point_found() ->
     _, (found,) = searched(by_sensor(warming(4.0), nulls.G)[0])
     assert found.finding.effect == "accel_bias_temperature"
     np.testing.assert_allclose(found.finding.parameters["slope"].value, 4.0 * SLOPE, rtol=0.01)
+
+
+def test_only_what_is_sought_is_searched_for() -> None:
+    """What a simulation was made with: nothing else is weighed against it, nor named in its place."""
+    made = by_sensor(warming(4.0), nulls.G)[0]
+    (own,) = slow_statements(made, sought=["accel_bias_temperature"])
+    assert own.finding.effect == "accel_bias_temperature"
+    assert slow_statements(made, sought=["gyro_bias_step"]) == []
 
 
 def test_a_steady_accelerometer_is_searched_once() -> None:

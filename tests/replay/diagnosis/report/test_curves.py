@@ -69,7 +69,7 @@ def rocked(sensor: str, size: float, seed: int) -> Side:
     rate = rng.normal(0.0, 3e-4, (t.size, 3))
     rate[:, 2] += size * np.sin(2.0 * np.pi * t / 90.0)
     samples = [Samples.checked(s, t, v) for s, v in ((Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate))]
-    exam = examine(*samples, search=False)
+    exam = examine(*samples, sought=())
     return Side("recorded", "#000000", "parameters" if sensor == "recorded" else "simulated", exam)
 
 
@@ -105,7 +105,7 @@ def test_a_pair_draws_the_difference_of_two_sensors_however_they_were_moved() ->
     force = Samples.checked(Sensor.ACCELEROMETER, t, moved)
     apart = Samples.checked(Sensor.ACCELEROMETER, t, left, warm)
     bins, sensors = pair_residuals(Readings(apart, None), Readings(force, None), [], 0.0)
-    exam = replace(examine(force, None, search=False), bins=bins, sensors=sensors, statements=[])
+    exam = replace(examine(force, None, sought=()), bins=bins, sensors=sensors, statements=[])
     answered = {
         "effect": "accel_bias_temperature",
         "sensor": "accel",

@@ -79,6 +79,15 @@ def test_the_phone_played_again_has_the_recordings_clock_gaps_and_limit() -> Non
 
 
 @pytest.mark.slow
+def test_what_comes_at_a_moment_is_found_again_in_the_corrected_simulation() -> None:
+    """Beside what it was found beside: the slope alone would be steps too."""
+    step = {"name": "accel_bias_step", "step": [0.05, 0.0, -0.05], "at_s": 1000.0}
+    answer = judge_built_in(named(recorded(phone_with(THERMAL, step), 5), "real.csv")).answer
+    assert {f["effect"] for f in answer["findings"]} == {"accel_bias_step", THERMAL["name"]}
+    assert answer["verdict"] == "identified", answer["fit"]
+
+
+@pytest.mark.slow
 def test_what_has_no_place_in_a_phone_file_is_a_comment(recording: Maker) -> None:
     hidden = {"name": "accel_thermal_hysteresis", "coefficient": [0.03, 0.03, 0.03], "tau_s": 300.0}
     case = diagnosed(replace(recording(hidden), gyroscope=None))
@@ -165,13 +174,13 @@ def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
         accelerometer=low_passed(made.accelerometer, 0.2),
         gyroscope=low_passed(made.gyroscope, 0.2),
     )
-    exam = examined(made, search=False)
+    exam = examined(made, sought=())
     phone = case_of(made, exam, compare_with_ideal(exam)).phone()
     assert phone.gyro is not None
     for sensor in (phone.accel, phone.gyro):
         assert sensor.cutoff_hz == pytest.approx(0.2 * RATE, rel=0.15)
     assert case_of(made, exam, Comparison()).cutoffs.keys() == {"accel", "gyro"}
-    plain = examined(turned(1, turns=8), search=False)
+    plain = examined(turned(1, turns=8), sought=())
     assert case_of(made, plain, Comparison()).cutoffs == {}
 
 
