@@ -218,7 +218,9 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
             if doubtful is None:
                 told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
                 made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
-                return each_driver_once([Stated(f, h, residuals) for f, h in zip(made, found, strict=True)])
+                return each_driver_once(
+                    [Stated(f, e.hypothesis, residuals) for f, e in zip(made, estimates, strict=True)]
+                )
             steps = [without_name(s) if s.winner.fit is doubtful.winner.fit else s for s in steps]
             continue
         weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]

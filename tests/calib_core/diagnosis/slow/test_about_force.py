@@ -56,16 +56,23 @@ def test_a_linear_accelerometer_stays_as_it_is() -> None:
 SLOPE = np.array([8e-3, -6e-3, 1e-2])
 
 
-def warming(size: float) -> Bins:
-    """Return 15 min of rests in 15 attitudes, warmer by 7 K in the end. size: of a slope in temperature."""
-    rng = np.random.default_rng(SEED)
+STEP, AT = np.array([0.05, -0.04, 0.05]), 461.0
+
+
+def warming(size: float, *, step: float = 0.0, seed: int = SEED) -> Bins:
+    """Return 15 min of rests in 15 attitudes, warmer by 7 K in the end.
+
+    size: of a slope in temperature; step: of a jump of the bias between two rests.
+    """
+    rng = np.random.default_rng(seed)
     t = np.arange(900.0)
     rest, left = np.divmod(t.astype(int), 60)
     warm = 24.0 + 8.0 * (1.0 - np.exp(-t / 360.0))
     up = nulls.random_attitudes(rng, 15)[rest]
     day = nulls.Day(t, np.where(left < 55, rest, -1), up, warm, np.zeros(t.size))
     quiet = {sensor: nulls.Wander() for sensor in nulls.WHITE}
-    return nulls.bins_of(rng, day, quiet, accel_error=size * np.outer(warm - 24.0, SLOPE))
+    error = size * np.outer(warm - 24.0, SLOPE) + step * np.outer(t >= AT, STEP)
+    return nulls.bins_of(rng, day, quiet, accel_error=error)
 
 
 def test_a_bias_that_changes_much_leaves_nothing_else_about_the_point_found() -> None:
@@ -73,6 +80,15 @@ def test_a_bias_that_changes_much_leaves_nothing_else_about_the_point_found() ->
     _, (found,) = searched(by_sensor(warming(4.0), nulls.G)[0])
     assert found.finding.effect == "accel_bias_temperature"
     np.testing.assert_allclose(found.finding.parameters["slope"].value, 4.0 * SLOPE, rtol=0.01)
+
+
+def test_a_step_is_taken_off_at_the_moment_at_which_it_stands_beside_the_slope() -> None:
+    """The search's own moment, told before the slope was known, was two bins off."""
+    stated = slow_statements(by_sensor(warming(1.0, step=1.0, seed=2), nulls.G)[0])
+    (step,) = (s for s in stated if s.finding.effect == "accel_bias_step")
+    assert len(stated) == 2 and step.hypothesis is not None
+    assert step.hypothesis.grid["t_start"] == step.finding.where.t_start
+    assert step.hypothesis.grid["t_start"] == pytest.approx(AT, abs=5.0)
 
 
 def test_only_what_is_sought_is_searched_for() -> None:
