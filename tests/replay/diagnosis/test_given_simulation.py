@@ -112,7 +112,7 @@ def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relatio
     assert 0.95 < finding["probability"] < 0.98 and "sim.csv" in finding["statement"]
 
 
-@pytest.mark.parametrize("of_recording", [False, True])
+@pytest.mark.parametrize("of_recording", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_what_may_be_the_effect_that_the_other_one_names_is_compared_as_that(of_recording: bool) -> None:
     """A curve without a name beside it left its size unknown in SIM, which had it and was told it has not."""
     exams = [examination(real()), examination(simulated(1.5))]

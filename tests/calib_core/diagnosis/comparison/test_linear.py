@@ -27,7 +27,7 @@ def in_a_chamber(seed: int) -> Samples:
     return Samples.checked(Sensor.ACCELEROMETER, t, frozen(force), frozen(warm))
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.slow), 2])
 def test_a_large_effect_that_is_not_searched_for_leaves_the_constants_as_they_are(seed: int) -> None:
     """Linear about a bias that changes by 0.45 m/s^2, slopes were off by a half, angles by 0.01 rad."""
     exam = examine(in_a_chamber(seed), None, sought=())
