@@ -34,8 +34,8 @@ TIMES = 8.0
 MOST_BAD = 0.6
 SOUND_PART = 0.3
 """Quantile of the misses that is a sound turn's even where as many as may be are bad."""
-MOST_SCALED = 40
-"""Turns from which the gyroscope's scale is taken, spread over the recording: one factor needs no more."""
+SOME = 40
+"""Turns, spread over the recording, from which the gyroscope's scale or an exchange is chosen."""
 DENSE = 0.6
 MENDED = 0.75
 LEAST_MISS, STRAY = 0.02, 0.05
@@ -82,16 +82,18 @@ def other_axes(found: list[Step]) -> Finding | None:
     """
     if len(found) < LEAST_TURNS:
         return None
-    size = _misses(found, np.eye(3))
+    _, size = _rescaled(found)
     if _far(size) < LEAST_BAD:
         return None
+    some = [*_spread(_chosen(found, size > FAR)), *_spread(_chosen(found, size <= FAR))]
     every = exchanges()
-    misses = [_misses(found, change) for change in every]
+    misses = [_misses(some, change) for change in every]
     best = min(range(len(every)), key=lambda i: (_far(misses[i]), float(np.median(misses[i]))))
-    if _far(misses[best]) > (1.0 - MENDED) * _far(size):
+    _, left = _rescaled([replace(s, rate=s.rate @ every[best].T) for s in found])
+    if _far(left) > (1.0 - MENDED) * _far(size):
         return None
     none = np.empty(0)
-    nats = _nats([*misses[best][:, None]], none, float(len(every))) - _nats([*size[:, None]], none, 1.0)
+    nats = _nats([*left[:, None]], none, float(len(every))) - _nats([*size[:, None]], none, 1.0)
     return _stated(found, size, (0, size.size - 1), ("gyro", every[best]), DirectEvidence(nats))
 
 
@@ -120,7 +122,7 @@ def _rescaled(found: list[Step]) -> tuple[list[Step], Array]:
     size = _misses(found, np.eye(3))
     if TIMES * float(np.quantile(size, SOUND_PART)) <= FAR:
         return found, size
-    some = found[:: -(-len(found) // MOST_SCALED)]
+    some = _spread(found)
 
     def scatter(factor: float) -> float:
         return float(np.quantile(_misses(some, factor * np.eye(3)), SOUND_PART))
@@ -129,6 +131,15 @@ def _rescaled(found: list[Step]) -> tuple[list[Step], Array]:
     best = min(best * np.exp(np.arange(-0.04, 0.041, 0.01)), key=scatter)
     scaled = [replace(s, rate=best * s.rate) for s in found]
     return scaled, _misses(scaled, np.eye(3))
+
+
+def _spread(found: list[Step]) -> list[Step]:
+    """Return `SOME` of the turns or fewer, spread over the recording."""
+    return found[:: max(1, -(-len(found) // SOME))]
+
+
+def _chosen(found: Sequence[Step], which: NDArray[np.bool_]) -> list[Step]:
+    return [step for step, wanted in zip(found, which, strict=True) if wanted]
 
 
 def _misses(found: Sequence[Step], gyro: Array) -> Array:

@@ -74,6 +74,16 @@ def test_turns_about_axes_that_are_right_hide_no_other_convention(change: np.nda
     assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
 
 
+@pytest.mark.parametrize("change", [SWAPPED, CYCLED])
+def test_a_wrong_scale_of_the_gyroscope_hides_no_other_convention(change: np.ndarray) -> None:
+    """It was told of a stretch of time, or of nothing; the scale alone is no other convention."""
+    force, spin = from_face_to_face(1)
+    bins = cut(force, spin)
+    found = other_axes(turns_between(changed(spin, 0.75 * change), bins, G))
+    assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
+    assert other_axes(turns_between(changed(spin, 0.75 * np.eye(3)), bins, G)) is None
+
+
 def test_axes_that_are_exchanged_for_a_while_are_told_with_when() -> None:
     force, spin, _ = day()
     force = changed(force, SWAPPED, 300.0, 700.0)
