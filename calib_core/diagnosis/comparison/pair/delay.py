@@ -49,6 +49,9 @@ LIVELY = 0.1
 NOISY = 0.02
 """Part of a piece's changes that may be noise of the other sensor, by which a delay would seem smaller."""
 
+QUIETEST = 0.1
+"""Part of a recording whose noise is taken for all of it: a single piece may hold values that are not new."""
+
 SIZE = 0.01
 """Prior standard deviation of a delay, s: a sample of a phone's usual rate."""
 
@@ -131,14 +134,19 @@ def late(own: Samples, true: Samples, sensor: str) -> Late | None:
 
 
 def _moving(true: Samples, length: float) -> list[slice]:
-    """Return the unbroken pieces of `length` s in which the readings change most, `MOST_PIECES` at most."""
+    """Return the unbroken pieces of `length` s in which the readings change most, `MOST_PIECES` at most.
+
+    A motor or a heel makes motion rough, as noise is. A sensor's noise is at most what it reads in its
+    quietest tenth.
+    """
     period = sample_period(true.t)
     n = max(round(length / period), 8)
     every = [slice(i, i + n) for i in range(1, len(true) - n - 1, n)]
     every = [p for p in every if true.t[p.stop] - true.t[p.start] < 1.5 * n * period]
     power = np.array([float((np.diff(true.xyz[p], axis=0) ** 2).mean()) for p in every])
     # White noise has twice its variance in first differences, 70 times in fourth ones; motion next to none.
-    noise = np.array([float((np.diff(true.xyz[p], 4, axis=0) ** 2).mean()) / 35.0 for p in every])
+    rough = np.array([float((np.diff(true.xyz[p], 4, axis=0) ** 2).mean()) / 35.0 for p in every])
+    noise = np.minimum(rough, np.quantile(rough, QUIETEST)) if every else rough
     sure = (power > LIVELY**2 * power.max(initial=0.0)) & (noise < NOISY * power)
     moving = [p for p, use in zip(every, sure, strict=True) if use]
     return moving[:: -(-len(moving) // MOST_PIECES)] if moving else []

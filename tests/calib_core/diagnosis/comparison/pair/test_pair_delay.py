@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.delay import (
@@ -76,6 +77,22 @@ def test_what_both_sensors_are_late_by_is_none_between_them() -> None:
     assert said.effect == "accel_gyro_time_offset"
     low, high = np.asarray(said.parameters["delay"].ci95, dtype=np.float64)
     assert low < 0.01 < high
+
+
+def test_rough_motion_between_rests_is_no_noise() -> None:
+    """A rate whose power falls by 12 dB an octave only, as a motor's, changes from sample to sample."""
+    rng = np.random.default_rng(5)
+    rough = lfilter(
+        [0.03], np.convolve([1.0, -0.85], [1.0, -0.85]), rng.normal(0.0, 1.0, (T.size, 3)), axis=0
+    )
+    rough[T % 40.0 < 10.0] = 0.0
+    own, other = (
+        Samples(Sensor.GYROSCOPE, frozen(T), frozen(xyz + rng.normal(0.0, 1e-3, xyz.shape)))
+        for xyz in (np.roll(rough, 1, axis=0), rough)
+    )
+    found = late(own, other, "gyro")
+    assert found is not None
+    assert found.delay.value == pytest.approx(0.02, abs=1e-3)
 
 
 def test_a_sensor_that_is_not_moved_tells_no_delay() -> None:
