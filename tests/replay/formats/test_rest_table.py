@@ -141,6 +141,19 @@ def test_rates_in_degrees_are_refused_unless_their_names_say_so(
     np.testing.assert_allclose(found, rate, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("matrix", "noise"), [(np.diag([4e-4, 4e-4, 1e-4]) + 1e-4, 1e-3), (np.zeros((3, 3)), 3e-3)]
+)
+def test_g_sensitivity_and_noise_are_not_the_earth_in_degrees(
+    tmp_path: Path, matrix: Array, noise: float
+) -> None:
+    """A part along gravity that differs between the axes, or is no larger than its error."""
+    force, rate = still(0.5)
+    noisy = np.radians(rate) + force @ matrix + np.random.default_rng(1).normal(size=rate.shape) * noise
+    _, found, _ = read(tmp_path / "r.csv", "ax,ay,az,gx,gy,gz", *lines(force, noisy))
+    np.testing.assert_allclose(found, noisy, atol=1e-6)
+
+
 @pytest.mark.parametrize(("matrix", "said"), [(np.zeros((3, 3)), 0), (np.diag([4e-4, -2e-4, 3e-4]), 1)])
 def test_rates_that_may_be_either_are_read_with_a_note(tmp_path: Path, matrix: Array, said: int) -> None:
     """Rates that differ by 0.2 deg/s between rests may be so small, or have another unit."""
@@ -170,7 +183,20 @@ def test_temperatures_that_no_sensor_has_are_refused(tmp_path: Path, celsius: Ar
         read(tmp_path / "r.csv", "ax,ay,az,temperature", *lines(UP * G, np.array(celsius)))
 
 
-def test_a_column_of_the_own_name_goes_before_others(tmp_path: Path) -> None:
+def test_columns_of_the_own_names_go_before_others(tmp_path: Path) -> None:
+    names = "time,acc_x,acc_y,acc_z,t,ax,ay,az"
+    force, *_ = read(tmp_path / "r.csv", names, *lines(MINUTES, UP[::-1] * G, MINUTES * 60.0, UP * G))
+    np.testing.assert_allclose(force, UP * G, atol=1e-5)
+    assert [rest.t_start for rest in read_rest_table(tmp_path / "r.csv")] == [0.0, 90.0, 240.0]
+
+
+def test_a_scatter_has_a_unit_of_its_own(tmp_path: Path) -> None:
+    names = "ax,ay,az,ax_std [mg],ay_std [mg],az_std [mg]"
+    (tmp_path / "r.csv").write_text("\n".join([names, *lines(UP * G, np.full((3, 3), 2.0))]) + "\n")
+    assert {tuple(rest.force_sd) for rest in read_rest_table(tmp_path / "r.csv")} == {(2e-3 * G,) * 3}
+
+
+def test_a_temperature_of_the_own_name_goes_before_others(tmp_path: Path) -> None:
     *_, celsius = read(
         tmp_path / "r.csv", "temp_room,ax,ay,az,temperature", *lines(CELSIUS - 5.0, UP * G, CELSIUS)
     )

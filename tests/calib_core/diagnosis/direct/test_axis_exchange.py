@@ -74,6 +74,14 @@ def test_turns_about_axes_that_are_right_hide_no_other_convention(change: np.nda
     assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
 
 
+def test_an_exchange_that_mends_half_of_the_turns_is_no_other_convention() -> None:
+    force, spin = from_face_to_face(1)
+    turns = turns_between(spin, cut(force, spin), G)
+    for_a_while = [replace(s, rate=s.rate @ SWAPPED) if s.start > 80.0 else s for s in turns]
+    missed = [replace(s, rate=0.3 * s.rate) if s.start < 80.0 else s for s in for_a_while]
+    assert other_axes(for_a_while) is None and other_axes(missed) is None
+
+
 @pytest.mark.parametrize("change", [SWAPPED, CYCLED])
 def test_a_wrong_scale_of_the_gyroscope_hides_no_other_convention(change: np.ndarray) -> None:
     """It was told of a stretch of time, or of nothing; the scale alone is no other convention."""
