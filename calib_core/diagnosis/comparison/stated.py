@@ -112,15 +112,16 @@ def undecided(difference: Difference, names: tuple[str, str]) -> NotCompared:
 def discrepancy(difference: Difference) -> Discrepancy:
     """Return what both have and differs, by its name and its relation."""
     recorded, axes = difference.recorded, axes_of(difference)
-    assert recorded.where is not None, "every quantity says where it was measured"
     effect, relation = recorded.effect, difference.relation()
+    where = (difference.simulated if relation == "superfluous" else recorded).where
+    assert where is not None, "every quantity says where it was measured"
     if effect == noise.LEVEL and (unequal := noise.unequal(difference, axes)) is not None:
         effect, relation = noise.UNEQUAL, unequal
     return Discrepancy(
         effect,
         recorded.sensor,
         axes,
-        recorded.where,
+        where,
         relation,
         difference.probability,
         difference.log_bayes_factor,

@@ -174,8 +174,10 @@ def _findings(judged: Judged) -> Iterator[str]:
     if not answer["findings"]:
         return
     yield "<h2>What differs</h2>"
-    album, start = Album.of(judged), float(judged.recorded.accelerometer.t[0])
+    album = Album.of(judged)
     for i, finding in enumerate(answer["findings"]):
+        owner = judged.simulated if finding["relation"] == "superfluous" else None
+        start = float((owner or judged.recorded).accelerometer.t[0])
         yield f'<h3 id="f{i}">{escape(_title(finding))}</h3><p>{escape(finding["statement"])}</p>'
         yield _table(finding)
         yield _equation(finding)
@@ -203,7 +205,7 @@ def _equation(finding: Mapping[str, Any]) -> str:
 
 
 def _sure(finding: Mapping[str, Any], start: float, simulation: str) -> str:
-    """Return how sure a finding is. start: s, the recording's first stamp."""
+    """Return how sure a finding is. start: s, the first stamp of what has it."""
     where, evidence = finding["where"], finding["evidence"]
     either = "of_either" in finding
     relation = (OF_EITHER if either else RELATIONS[finding["relation"]]).format(simulation)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,12 @@ def test_an_effect_that_only_one_of_the_two_shows_is_no_agreement(
     assert said.discrepancies == []
     assert len(said.agreed) == (reason is None)
     assert [one.reason.startswith(reason or "") for one in said.undecided] == [True] * (reason is not None)
+
+
+def test_what_only_the_simulation_has_is_where_the_simulation_shows_it() -> None:
+    recorded, simulated = slope(0.0, 1e-5), slope(4e-4, 1e-5)
+    its_own = Where(5000.0, 5300.0, (0.0, 0.05), "temperature")
+    pairs = weighed([subtract(recorded, replace(simulated, where=its_own))], 20)
+    said = concluded(pairs, [], [], NAMES, among=20, checks=20, had={("gyro_bias_temperature", "gyro")})
+    (found,) = said.discrepancies
+    assert (found.relation, found.where) == ("superfluous", its_own)
