@@ -26,7 +26,6 @@ from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_sum,
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.maths.rms import rms
 
 FOLDS = 5
 STRETCHES = 4
@@ -40,15 +39,28 @@ SHAPES = 6
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Sums over folds. log_score: nats; rmse: of left-out bins about the mean model, in the views' unit.
+    """What all folds say. log_score: nats; missed: (n,) left-out bins less the mean model, in view units.
 
-    training: log evidence of each fold's other bins, nats, by which an effect is chosen without what is left
-    out. The tangent view has no rmse: where a pose points, that other bins do not tell.
+    leverage: (n,) variance of that model there, as a part of the variance of the bin's white noise. training:
+    log evidence of each fold's other bins, nats, by which an effect is chosen without what is left out. The
+    tangent view has neither miss nor leverage: where a pose points, other bins do not tell.
     """
 
     log_score: float
-    rmse: float
+    missed: Array
+    leverage: Array
     training: tuple[float, ...]
+
+    def rmse(self, under: HeldOut) -> float:
+        """Return the rms of the misses, every bin weighing as far as the others tell it.
+
+        under: the model by whose leverage bins weigh: both models are judged by the bins that the one with
+        more to estimate tells. An attitude like no other is told by none of the others. Missed by
+        0.05 m/s^2, as was expected, one alone made the rms with a slope three times as large as without,
+        where all other bins were three times nearer.
+        """
+        weight = 1.0 / (1.0 + under.leverage)
+        return float(np.sqrt(weight @ self.missed**2 / weight.sum()))
 
 
 def likely_shapes(view: View, reduced: Reduced, residual: Array) -> list[Array]:
@@ -66,7 +78,7 @@ def held_out(
     shapes: for each view, the covariances (n, n) to choose from. candidates: sets of effects, one of which
     is true, such as one effect at several grid points beside others.
     """
-    score, misses, training = 0.0, [np.zeros(0)], []
+    score, missed, leverage, training = 0.0, [np.zeros(0)], [np.zeros(0)], []
     shared = [] if residuals.shared is None else [residuals.shared]
     parts = [
         [
@@ -97,32 +109,15 @@ def held_out(
             for each, (_, _, some), count in zip(parts, known, own, strict=True)
         ]
         score += log_sum(np.array(every)) - log_sum(values)
-        misses += _missed(parts, rows, known, np.exp(values - log_sum(values)))
-    left = np.concatenate(misses)
-    rmse = rms(left)
-    return HeldOut(score, rmse, tuple(training))
-
-
-def _missed(
-    parts: Sequence[Sequence[_Part]],
-    rows: Sequence[NDArray[np.bool_]],
-    known: Sequence[tuple[float, Array, list[_Sums]]],
-    weights: Array,
-) -> list[Array]:
-    """Return how far the left-out bins of each part are from what the candidates make expected.
-
-    weights: (candidates,) probabilities of the candidates, from the bins `rows`.
-    """
-    return [
-        np.asarray(
-            sum(
-                weight * each[i].missed(rows[i], sums[i], size)
-                for weight, each, (_, size, sums) in zip(weights, parts, known, strict=True)
-            )
-        )
-        for i in range(len(rows))
-        if parts[0][i].view.name != "tangent"
-    ]
+        weights = np.exp(values - log_sum(values))
+        for i in range(len(rows)):
+            if parts[0][i].view.name != "tangent":
+                told = [
+                    each[i].told(rows[i], some[i], x) for each, (_, x, some) in zip(parts, known, strict=True)
+                ]
+                missed.append(weights @ np.array([away for away, _ in told]))
+                leverage.append(weights @ np.array([more for _, more in told]))
+    return HeldOut(score, np.concatenate(missed), np.concatenate(leverage), tuple(training))
 
 
 def _known(
@@ -221,20 +216,28 @@ class _Part:
         explained = float(pull @ np.linalg.solve(gram + np.eye(pull.size), pull)) if pull.size else 0.0
         return float((self.view.known + max(left[-1, -1] - explained, 0.0)) / (self.view.known + freedom))
 
-    def missed(self, rows: NDArray[np.bool_], sums: _Sums, size: Array) -> Array:
-        """Return how far the bins that are not `rows` are from the mean model that `rows` tell.
+    def told(self, rows: NDArray[np.bool_], sums: _Sums, size: Array) -> tuple[Array, Array]:
+        """Return how far the bins that are not `rows` are from the mean model that `rows` tell, and leverage.
 
-        To the mean belongs what the baseline absorbs.
+        To the mean belongs what the baseline absorbs. size: (k,) of the effects, from all parts.
         """
         baseline, effects, y = np.split(sums.white, [self.baseline.shape[1], sums.white.shape[1] - 1], axis=1)
         white = y[:, 0] - effects @ size
         offset = np.linalg.solve(sums.own.T, np.linalg.solve(sums.own, baseline.T @ white))
         away = (self.y - self.effects @ size - self.baseline @ offset)[~rows]
-        if self.view.absorbed is None:
-            return np.asarray(away)
-        known = _whitened(sums.factor, self.view.absorbed[rows])
-        parameters = known.T @ (white - baseline @ offset)
-        return np.asarray(away - self.view.absorbed[~rows] @ parameters)
+        there = np.column_stack([self.baseline, self.effects])[~rows]
+        columns = sums.white[:, :-1]
+        prior = np.repeat([DIFFUSE, 1.0], [baseline.shape[1], effects.shape[1]])
+        unknown = np.linalg.inv(columns.T @ columns / sums.scale + np.diag(prior))
+        variance = 0.0
+        if self.view.absorbed is not None:
+            known, absorbed = _whitened(sums.factor, self.view.absorbed[rows]), self.view.absorbed[~rows]
+            away = away - absorbed @ (known.T @ (white - baseline @ offset))
+            there = there - absorbed @ (known.T @ columns)
+            free = np.eye(known.shape[1]) - known.T @ known
+            variance = sums.scale * np.einsum("ij,jk,ik->i", absorbed, free, absorbed)
+        variance = variance + np.einsum("ij,jk,ik->i", there, unknown, there)
+        return np.asarray(away), np.asarray(variance / (sums.scale * self.view.variance[~rows]))
 
 
 def _evidence(sums: Sequence[_Sums], own: int) -> tuple[float, Array]:

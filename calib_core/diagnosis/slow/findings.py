@@ -381,8 +381,8 @@ def _finding(residuals: SensorResiduals, step: Step, found: Estimate, others: li
         where=_where(residuals, own),
         parameters=parameters(found),
         evidence=Evidence(
-            heldout_rmse_before=before.rmse,
-            heldout_rmse_after=after.rmse,
+            heldout_rmse_before=before.rmse(under=after),
+            heldout_rmse_after=after.rmse(under=after),
             heldout_log_score_gain=after.log_score - before.log_score,
             folds=FOLDS,
             named_in_folds=_first_in(residuals, (step.winner, after), rivals),

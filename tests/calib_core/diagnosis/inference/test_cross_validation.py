@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
-from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, held_out
+from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
@@ -44,11 +44,15 @@ def shapes(residuals: SensorResiduals) -> list[list[Array]]:
     return made
 
 
-def only_the_norm() -> tuple[SensorResiduals, Hypothesis, NDArray[np.int64]]:
-    """Return the hour with nothing but its norm view, without a baseline, its drift, and each bin's fold."""
+def only_the_norm(*, absorbed: bool = False) -> tuple[SensorResiduals, Hypothesis, NDArray[np.int64]]:
+    """Return the hour with nothing but its norm view, without a baseline, its drift, and each bin's fold.
+
+    absorbed: whether the affine parameters are estimated with it.
+    """
     residuals, ramp = hour()
     view = residuals.views[0]
-    view = replace(view, baseline=np.zeros((1, view.y.size, 0)), absorbed=None)
+    kept = view.absorbed if absorbed else None
+    view = replace(view, baseline=np.zeros((1, view.y.size, 0)), absorbed=kept)
     start, end = residuals.bins.span
     at = (view.t - start) / (end - start)
     fold = np.minimum((at * 4 * FOLDS).astype(int), 4 * FOLDS - 1) % FOLDS
@@ -91,7 +95,37 @@ def test_left_out_bins_are_compared_with_what_the_others_make_expected() -> None
         weights = np.exp(np.array(likely) - np.logaddexp.reduce(likely))
         missed.append(y[~rest] - weights @ np.array(expected))
     found = held_out(norm, shapes(norm), [[ramp], [late]])
-    assert found.rmse == pytest.approx(rms(np.concatenate(missed)), rel=1e-6)
+    assert rms(found.missed) == pytest.approx(rms(np.concatenate(missed)), rel=1e-6)
+
+
+def test_leverage_is_the_variance_of_the_model_that_the_other_bins_tell() -> None:
+    """Of all that is estimated together: affine parameters and the effect."""
+    norm, ramp, fold = only_the_norm(absorbed=True)
+    columns = ramp.columns[0][0] * ramp.sizes
+    view, shape, y = norm.views[0], shapes(norm)[0][0], norm.views[0].y[0]
+    assert view.absorbed is not None
+    affine = view.absorbed @ view.absorbed.T
+    expected = []
+    for k in range(FOLDS):
+        rest = fold != k
+        left = float(y[rest] @ np.linalg.solve((shape + columns @ columns.T)[np.ix_(rest, rest)], y[rest]))
+        scale = (view.known + left) / (view.known + rest.sum())
+        model = scale * affine + columns @ columns.T
+        told = model[np.ix_(~rest, rest)]
+        around = model + scale * (shape - affine)
+        told = told @ np.linalg.solve(around[np.ix_(rest, rest)], told.T)
+        expected.append((model[np.ix_(~rest, ~rest)] - told).diagonal() / (scale * view.variance[~rest]))
+    found = held_out(norm, shapes(norm), [[ramp]])
+    np.testing.assert_allclose(found.leverage, np.concatenate(expected), rtol=1e-4)
+
+
+def test_a_bin_that_the_others_do_not_tell_weighs_nothing() -> None:
+    sure, unsure = np.zeros(20), np.where(np.arange(20) == 7, 1e4, 0.0)
+    before = HeldOut(0.0, np.where(np.arange(20) == 7, 50.0, 3.0), sure, ())
+    after = HeldOut(9.0, np.where(np.arange(20) == 7, 200.0, 1.0), unsure, ())
+    assert rms(after.missed) > 3.0 * rms(before.missed)
+    assert after.rmse(under=after) == pytest.approx(1.0, rel=0.2)
+    assert before.rmse(under=after) == pytest.approx(3.0, rel=0.2)
 
 
 def test_an_effect_that_is_there_leaves_little_more_than_noise() -> None:
@@ -99,8 +133,8 @@ def test_an_effect_that_is_there_leaves_little_more_than_noise() -> None:
     noise = float(np.sqrt(np.mean(residuals.views[0].variance)))
     with_it, without = (held_out(residuals, shapes(residuals), [each]) for each in ([ramp], []))
     assert with_it.log_score > without.log_score + 20.0
-    assert with_it.rmse < 2.0 * noise
-    assert with_it.rmse < 0.5 * without.rmse
+    assert with_it.rmse(under=with_it) < 2.0 * noise
+    assert with_it.rmse(under=with_it) < 0.5 * without.rmse(under=with_it)
 
 
 def test_every_fold_chooses_its_own_shape_and_grid_point() -> None:
