@@ -224,6 +224,11 @@ class Calibration:
         actions = (*self._actions, Publish(t, record, "terms from a diagnosis"))
         return Calibration(record, None, actions, left_out)
 
+    @property
+    def warnings(self) -> list[str]:
+        """What the engine warned of as it calibrated, the first of each kind; none of a store."""
+        return [] if self._outcome is None else self._outcome.warnings
+
     def save(self, path: PathLike) -> None:
         """Put the calibration into a store, a JSON file, as `stillcal replay --store` does.
 
@@ -243,7 +248,8 @@ class Calibration:
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = record_rows(self.record) if self._outcome is None else outcome_rows(self._outcome)
-        return rows + [("missing", phrase) for phrase in self.missing]
+        said = [("missing", phrase) for phrase in self.missing]
+        return [*rows, *said, *(("warning", line) for line in self.warnings)]
 
 
 def calibrate(

@@ -221,6 +221,17 @@ def test_a_data_frame_is_a_table(sample: stillcal.Recording, calibration: stillc
     assert stillcal.calibrate(stillcal.load(frame, events=place)).record.id == calibration.record.id
 
 
+def test_what_the_engine_warns_of_is_kept(
+    sample: stillcal.Recording, calibration: stillcal.Calibration, tmp_path: Path
+) -> None:
+    assert calibration.warnings == [] and "warning" not in repr(calibration)
+    place = [{"t": 0.0, "event": "location", "latitude": 52.2, "longitude": 0.12, "altitude": 9e4}]
+    (said,) = (warned := stillcal.calibrate(stillcal.load(columns(sample), events=place))).warnings
+    assert "location not used: altitude 90000.0 m" in said and said in repr(warned)
+    warned.save(tmp_path / "store.json")
+    assert stillcal.Calibration.read(tmp_path / "store.json").warnings == []
+
+
 def test_an_empty_cell_is_no_sample(sample: stillcal.Recording) -> None:
     """Every other row lacks the gyroscope; temperatures that are unknown are those of the row before."""
     table = {name: column.copy() for name, column in columns(sample).items()}

@@ -117,8 +117,8 @@ def replay_command(  # noqa: PLR0917 - click hands every option over by name
     if reading.is_rest_table(trace):
         engine = Engine(with_choices(settings.engine, gravity, watch))
         table = reading.rest_table(trace)
-        show_notes(table.notes, quiet)
         outcome = replay_rests(table.rests, engine, calibrations.append)
+        show_notes([*table.notes, *outcome.warnings], quiet)
     else:
         opened = reading.open(trace)
         beginning = opened.beginning
