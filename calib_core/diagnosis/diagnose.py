@@ -303,9 +303,8 @@ def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:
 def refuse_too_little(accelerometer: Samples) -> None:
     """Raise NotSupported where not even the stamps can be judged."""
     if len(accelerometer) < LEAST_SAMPLES:
-        raise NotSupported(
-            f"{len(accelerometer)} samples of the accelerometer", (f"at least {LEAST_SAMPLES}",)
-        )
+        needed = (f"at least {LEAST_SAMPLES}", "or the format rest, if each row is the mean of a rest")
+        raise NotSupported(f"{len(accelerometer)} samples of the accelerometer", needed)
     span = float(accelerometer.t[-1] - accelerometer.t[0])
     if span < LEAST_SECONDS:
         raise NotSupported(f"{span:.4g} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))

@@ -73,7 +73,7 @@ def test_too_little_is_refused_and_no_gyroscope_is_said() -> None:
     rng = np.random.default_rng(0)
     t = np.arange(6000) / 50.0
     samples = Samples.checked(Sensor.ACCELEROMETER, t, rng.normal(0, 0.01, (6000, 3)) + np.array([0, 0, 9.8]))
-    with pytest.raises(NotSupported, match="at least 200"):
+    with pytest.raises(NotSupported, match="at least 200, or the format rest"):
         diagnose(samples[:100], None)
     with pytest.raises(NotSupported, match="at least 10 s"):
         diagnose(samples[:400], None)
