@@ -55,20 +55,19 @@ def open_rest_table(found: Path | Source) -> RestTable:
 
     Columns: ax ay az, and any of t duration n gx gy gz sax say saz temperature, or other usual names for them
     with their units (recognition/rest_columns.py). A mean's standard uncertainty is s/sqrt(n). Where the
-    table has no s, only the rounding of the printed numbers is known of it, step/sqrt(12): the same for all
-    rows and a lower bound, so that rows weigh alike and the residuals have to tell the rest. Rows without t
-    are numbered 0, 1, 2, ... in its place. Raises TraceError.
+    table has no s or no n, only the rounding of the printed numbers is known of it, step/sqrt(12): the same
+    for all rows and a lower bound, so that rows weigh alike and the residuals have to tell the rest. Rows
+    without t are numbered 0, 1, 2, ... in its place. Raises TraceError.
     """
     path = found.path if isinstance(found, Source) else found
     columns, notes = _columns(found)
     force = _stacked(columns, FORCE)
     judge_forces(path, force)
-    counted = np.ones(len(force))
+    force_sd = force_uncertainty = np.full_like(force, max(columns[name].rounding_sd for name in FORCE))
     if set(SCATTER) <= columns.keys():
         force_sd = _stacked(columns, SCATTER)
-        counted = np.maximum(columns["n"].si, 1.0) if "n" in columns else counted
-    else:
-        force_sd = np.full_like(force, max(columns[name].rounding_sd for name in FORCE))
+        if "n" in columns:
+            force_uncertainty = force_sd / np.sqrt(np.maximum(columns["n"].si, 1.0))[:, None]
     rate, rate_sd = None, np.zeros_like(force)
     if set(RATE) <= columns.keys():
         rate = _stacked(columns, RATE)
@@ -79,7 +78,7 @@ def open_rest_table(found: Path | Source) -> RestTable:
             **_extent(columns, i),
             specific_force=frozen(force[i]),
             force_sd=frozen(force_sd[i]),
-            force_uncertainty=frozen(force_sd[i] / np.sqrt(counted[i])),
+            force_uncertainty=frozen(force_uncertainty[i]),
             level=_along(force[i], force_sd[i]),
             rate=None if rate is None else frozen(rate[i]),
             rate_sd=None if rate is None else frozen(rate_sd[i]),

@@ -243,6 +243,15 @@ def test_a_rest_table_with_all_columns(tmp_path: Path) -> None:
     assert first.rate is not None and first.rate.tolist() == [0.001, 0.002, 0.003]
 
 
+def test_a_scatter_without_a_count_says_nothing_of_the_means(tmp_path: Path) -> None:
+    """It was their uncertainty, 50 times too much for 2500 samples, and hid what the rows show."""
+    path = tmp_path / "rests.csv"
+    path.write_text("ax,ay,az,sax,say,saz\n0.12,0.2,9.81,0.5,0.5,0.5\n9.7,0.21,0.1,0.5,0.5,0.5\n")
+    rests = read_rest_table(path)
+    np.testing.assert_allclose([r.force_uncertainty for r in rests], 0.01 / 12**0.5)
+    np.testing.assert_allclose([r.force_sd for r in rests], 0.5)
+
+
 def test_a_rest_table_of_means_only_knows_their_rounding(tmp_path: Path) -> None:
     path = tmp_path / "rests.csv"
     path.write_text("ax;ay;az\n0.12;0.2;9.81\n9.7;0.21;0.1")
