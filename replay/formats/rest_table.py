@@ -17,6 +17,7 @@ from stillcal.replay.formats.checks.rest_units import judge_forces, judge_rates,
 from stillcal.replay.formats.clock import unit_since_1970
 from stillcal.replay.formats.columns import find_columns
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.rest_columns import FORCE, RATE, SCATTER, RestColumn, rest_columns
 from stillcal.replay.formats.recognition.text_formats import text_format
 from stillcal.replay.formats.sources import Source, source_of
@@ -139,6 +140,11 @@ def _columns(found: Path | Source) -> tuple[dict[str, _Values], list[str]]:
 def _table(found: Path | Source) -> TextTable:
     """Return the table, from its header on. Raises TraceError where it has none."""
     source = found if isinstance(found, Source) else source_of(found)
+    kind = magic.kind_of(source)
+    if kind != magic.TEXT:
+        raise TraceError(
+            source.path, f"is {kind}, and rest tables are read from text only", "write it as CSV"
+        )
     form = text_format(source)
     cut = msgspec.structs.replace(form.column_map, select=None, decimal="auto")
     table = TextTable(form.source or source, cut)

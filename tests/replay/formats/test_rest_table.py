@@ -201,3 +201,10 @@ def test_a_temperature_of_the_own_name_goes_before_others(tmp_path: Path) -> Non
         tmp_path / "r.csv", "temp_room,ax,ay,az,temperature", *lines(CELSIUS - 5.0, UP * G, CELSIUS)
     )
     np.testing.assert_allclose(celsius, CELSIUS)
+
+
+def test_a_table_that_is_no_text_is_refused_as_such(tmp_path: Path) -> None:
+    """JSON was said to hold a header only, after the remedy for it as a recording had been --format rest."""
+    (tmp_path / "r.json").write_text('[{"ax": 0.1, "ay": 0.2, "az": 9.8}, {"ax": 9.8, "ay": 0.2, "az": 0.1}]')
+    with pytest.raises(TraceError, match="is JSON, and rest tables are read from text only; write it as CSV"):
+        open_rest_table(tmp_path / "r.json")
