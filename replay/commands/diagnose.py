@@ -38,7 +38,7 @@ from stillcal.replay.diagnosis.judged import ShowStage
 from stillcal.replay.diagnosis.report.figures import require_matplotlib
 from stillcal.replay.diagnosis.report.page import page
 from stillcal.replay.diagnosis.residuals import residuals_csv
-from stillcal.replay.diagnosis.rest_table import diagnose_kept, diagnose_rests
+from stillcal.replay.diagnosis.rest_table import diagnose_kept, diagnose_rests, told_of_temperatures
 from stillcal.replay.diagnosis.words.summary import VERDICTS, summary
 from stillcal.replay.export.fix.fixers import FIXERS
 from stillcal.replay.formats.covariates import columns_there, read_covariates
@@ -304,8 +304,9 @@ class _Outputs(NamedTuple):
 
 def _table(asked: _Asked) -> _Outputs:
     of_rests = diagnose_kept if is_daemon_state(asked.trace) else diagnose_rests
-    table = asked.reading.rest_table(asked.trace)
-    return _Outputs(of_rests(table.rests, short_name(asked.trace)), notes=table.notes)
+    table, name = asked.reading.rest_table(asked.trace), short_name(asked.trace)
+    notes = [*table.notes, *(f"{name}: {note}" for note in told_of_temperatures(table.rests))]
+    return _Outputs(of_rests(table.rests, name), notes=notes)
 
 
 def _diagnosed(asked: _Asked, show_stage: ShowStage) -> _Outputs:

@@ -83,6 +83,16 @@ def _with_temperature(rests: Sequence[RestState]) -> Sequence[RestState]:
     return known if len(known) >= enough else rests
 
 
+def told_of_temperatures(rests: Sequence[RestState]) -> list[str]:
+    """Return what is to be said where only some rests have a temperature, a line each."""
+    missing = sum(r.temperature is None for r in rests)
+    if missing in (0, len(rests)):
+        return []
+    used = _with_temperature(rests) is not rests
+    what = "these are left out" if used else "too few have one, so temperatures are not used"
+    return [f"{missing} of {len(rests)} rests have no temperature: {what}"]
+
+
 def _without_effects(bins: Bins, findings: Sequence[Finding], gravity: float) -> tuple[Bins, list[str]]:
     """Return the table without what the effects found add to it, and the effects that have no equation.
 

@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.screen import screened
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.static.rest import RestState
-from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins
+from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins, told_of_temperatures
 from stillcal.replay.formats.rest_table import read_rest_table
 
 
@@ -105,6 +105,17 @@ def test_rows_without_a_temperature_do_not_cost_that_of_the_others(
         for i, (t, f, w) in enumerate(zip(kelvin, force, warm, strict=True))
     ]
     assert [f["effect"] for f in diagnose_rests(rests, "rests.csv")["findings"]] == ["accel_bias_temperature"]
+
+
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [(24, []), (13, ["11 of 24 rests have no temperature: these are left out"]), (5, ["not used"]), (0, [])],
+)
+def test_what_is_made_of_missing_temperatures_is_said(known: int, said: list[str]) -> None:
+    """Two rows of three were left out without a word, and 'no temperature' was said of a table with some."""
+    rests = [rest(60.0 * i, temperature=20.0 + i if i < known else None) for i in range(24)]
+    notes = told_of_temperatures(rests)
+    assert len(notes) == len(said) and all(part in note for part, note in zip(said, notes, strict=True))
 
 
 def test_a_large_slope_over_temperature_is_the_point_of_a_second_search() -> None:
