@@ -25,7 +25,7 @@ from stillcal.replay.formats.recognition.header import (
     unnamed_place,
     with_units,
 )
-from stillcal.replay.formats.recognition.names import is_own
+from stillcal.replay.formats.recognition.names import is_own, is_unit
 from stillcal.replay.formats.recognition.rewritten import rewritten
 from stillcal.replay.formats.recognition.unnamed import names_of_rows
 from stillcal.replay.formats.sources import Source
@@ -107,7 +107,8 @@ def _of_lines(lines: list[str], whole: bool) -> TextFormat:
         return replace(form, column_map=placed)
     row = lines[before + after + 1]
     names, *below = (split_as(row, uncommented(line)) for line in lines[before : before + after + 1])
-    units = next((cells for cells in below if len(cells) == len(names)), names)
+    fitting = [cells for cells in below if len(cells) == len(names)]
+    units = max(fitting, key=lambda cells: sum(is_unit(cell.strip("[]() ")) for cell in cells), default=names)
     told = with_units(names, units) if units != names else None
     name = REST if form.name == REST else UNKNOWN
     return TextFormat(name, placed, names=told, rate_hz=form.rate_hz)

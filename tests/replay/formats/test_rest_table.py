@@ -60,8 +60,9 @@ TABLES = {
         "min,s,-,m/s^2,m/s^2,m/s^2,deg/s,deg/s,deg/s,K",
         *lines(MINUTES, np.ones(3), np.ones(3), UP * G, np.degrees(RATES), CELSIUS + 273.15),
     ],
-    "a line of units in brackets": [
+    "a line of units in brackets, and another one": [
         "t,ax,ay,az,gx,gy,gz,temperature",
+        "clock,B17,B17,B17,C2,C2,C2,room",
         "[min],[m/s²],[m/s²],[m/s²],[°/s],[°/s],[°/s],[°C]",
         *lines(MINUTES, UP * G, np.degrees(RATES), CELSIUS),
     ],
