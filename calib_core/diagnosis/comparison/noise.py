@@ -55,6 +55,10 @@ MOVED, SHAKEN = 4.0, 100.0
 the sensor's own white noise: no wander is ten times as loud within 2 s."""
 
 BLURRED = "its values come in steps larger than the noise"
+OF_NO_NAME = "what has no name is most of it, and its form is known to a tenth"
+KNOWN_FORM = float(np.log(10.0))
+"""Of what has no name less than a tenth may be left because its form is not quite right, and is no noise."""
+
 LEVEL, UNEQUAL = OF_DENSITY = ("noise_level", "noise_unequal_axes")
 """Names of a difference between two densities of white noise: on any axes, or on one beside the others."""
 
@@ -222,7 +226,15 @@ def why_no_slow_noise(exam: Examination, residuals: SensorResiduals) -> str | No
     """
     if any(s.sensor == residuals.sensor and s.steps.blurs_level() for s in exam.streams):
         return BLURRED
-    return "what it lies on moves" if moves(exam, residuals.sensor) else None
+    if moves(exam, residuals.sensor):
+        return "what it lies on moves"
+    found = _found(exam, residuals)
+    named = [h for h in found if h.effect.name != "unknown"]
+    if len(named) == len(found):
+        return None
+    left, whole = (_deviations(residuals, known) for known in (found, named))
+    hidden = any(b[0] - a[0] > KNOWN_FORM for a, b in zip(left, whole, strict=True))
+    return OF_NO_NAME if hidden else None
 
 
 def moves(exam: Examination, sensor: str) -> bool:
@@ -263,22 +275,13 @@ def slow_noise(
     """
     if why_no_slow_noise(exam, residuals):
         return None
-    explained = [
-        s.hypothesis for s in exam.statements if s.residuals is residuals and s.hypothesis is not None
-    ]
+    explained = _found(exam, residuals)
     own = {h.effect.name for h in explained}
     explained += [h for h in asked if h.effect.name not in own]
-    reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
-    _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
-    shown = [
-        _deviation(view, sums, weight)
-        for view, sums, weight in zip(residuals.views, reduced, weights, strict=True)
-        if view.name != "tangent"
-    ]
-    known = [s for s in shown if s is not None]
-    if len(known) < len(shown):
+    shown = _deviations(residuals, explained)
+    if len(shown) < sum(view.name != "tangent" for view in residuals.views):
         return None
-    value, error = np.array(known).T
+    value, error = np.array(shown).T
     return Quantity(
         f"{residuals.sensor}_slow_noise",
         residuals.sensor,
@@ -292,6 +295,21 @@ def slow_noise(
         reference={"averaging_s": AVERAGED},
         where=Where(*residuals.bins.span, (0.0, 1.0 / AVERAGED), "nothing"),
     )
+
+
+def _found(exam: Examination, residuals: SensorResiduals) -> list[Hypothesis]:
+    """Return what was found in a sensor's residuals."""
+    own = (s for s in exam.statements if s.residuals is residuals)
+    return [s.hypothesis for s in own if s.hypothesis is not None]
+
+
+def _deviations(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> list[tuple[float, float]]:
+    """Return mean and standard deviation of the log of the Allan deviation of each view that shows it."""
+    reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
+    _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
+    every = zip(residuals.views, reduced, weights, strict=True)
+    shown = (_deviation(v, sums, weight) for v, sums, weight in every if v.name != "tangent")
+    return [deviation for deviation in shown if deviation is not None]
 
 
 def _deviation(view: View, sums: Reduced, weight: Array) -> tuple[float, float] | None:

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import _is_motion
-from stillcal.calib_core.diagnosis.comparison.noise import density, slow_noise, why_no_density
+from stillcal.calib_core.diagnosis.comparison.noise import (
+    density,
+    slow_noise,
+    why_no_density,
+    why_no_slow_noise,
+)
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
+from stillcal.calib_core.diagnosis.model.moments import Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
+from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -62,6 +73,36 @@ def test_what_steps_larger_than_the_noise_leave_in_means_is_no_slow_noise() -> N
         exam = examine(Samples(Sensor.ACCELEROMETER, t, still), gyroscope, sought=())
         slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
         assert (slow is not None) == told
+
+
+class Swing(Effect):
+    """A swing of the gyroscope's bias that has no name."""
+
+    name = "unknown"
+    sensor = "gyro"
+    follows = "a period in time"
+    parameters = (Linear("amplitude", "rad/s", 3, 0.01),)
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return what a unit of it adds, (n, 3, 3)."""
+        return on_axes(np.sin(2.0 * np.pi * moments.age / 250.0))
+
+
+@pytest.mark.parametrize(("amplitude", "told"), [(1e-5, True), (5e-3, False)])
+def test_what_a_large_effect_without_a_name_leaves_is_no_slow_noise(amplitude: float, told: bool) -> None:
+    """It departs from its form by a twentieth, with a third of its period."""
+    rng, t = np.random.default_rng(8), np.arange(6000) / 5.0
+    swing = np.sin(2.0 * np.pi * t / 250.0) + 0.05 * np.sin(6.0 * np.pi * t / 250.0)
+    still = np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(t.size, 3))
+    rates = amplitude * swing[:, None] + 1e-4 * rng.normal(size=(t.size, 3))
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, still), Samples(Sensor.GYROSCOPE, t, rates), sought=())
+    residuals = next(s for s in exam.sensors if s.sensor == "gyro")
+    where = Where(0.0, 1200.0, (0.0, 0.01), Swing.follows)
+    found = Finding("unknown", "gyro", [], where, {}, Evidence(99.0), [], "")
+    stated = Stated(found, residuals.hypothesis(Swing(), {}), residuals)
+    exam = replace(exam, statements=[stated])
+    assert (slow_noise(exam, residuals) is not None) == told
+    assert (why_no_slow_noise(exam, residuals) is None) == told
 
 
 def test_wander_of_a_phone_in_a_train_is_the_trains() -> None:
