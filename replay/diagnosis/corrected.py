@@ -2,6 +2,7 @@
 
 What an effect adds is its response in the catalogue, at samples that exist already.
 A low-pass filters them, or takes the place of the one that they have; a delay stamps them that much later.
+A limit clips them, and coarse values round them.
 What cannot be put into samples (another rate, less noise) is left out and named.
 """
 
@@ -70,7 +71,7 @@ def correct(
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    slow = [d for d in discrepancies if not _moves(d) and _new_line(d) is None]
+    slow = [d for d in discrepancies if not (_moves(d) or _new_line(d) or _coarse(d))]
     changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     known = simulation.overview
@@ -144,7 +145,7 @@ def _with_added(
         "gyro": simulation.gyroscope,
     }
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
-    linear = [d for d in discrepancies if _limit(d) is None and not _moves(d)]
+    linear = [d for d in discrepancies if not (_limit(d) or _coarse(d) or _moves(d))]
     for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
         added = None if samples is None else _added(drivers, samples, one, biases, rng)
@@ -160,6 +161,12 @@ def _with_added(
         limit, samples = _limit(one), streams.get(one.sensor)
         if limit is not None and samples is not None:
             streams[one.sensor] = clipped(samples, limit)
+    for one in discrepancies:
+        step, samples = _coarse(one), streams.get(one.sensor)
+        if step is not None and samples is not None:
+            coarse = [not one.axes or axis in one.axes for axis in AXES]
+            rounded = np.where(coarse, np.rint(samples.xyz / step) * step, samples.xyz)
+            streams[one.sensor] = replace(samples, xyz=frozen(rounded))
     accelerometer = streams["accel"]
     assert accelerometer is not None, "every recording has an accelerometer"
     return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
@@ -176,7 +183,7 @@ def _added(
     if (line := _new_line(one)) is not None:
         return _tone(samples, line)
     if one.difference is None:
-        return None
+        return _spare_step(samples, one)
     if one.effect in OF_DENSITY:
         return _noise(samples, one, rng)
     kind = one.effect.partition("_")[2]
@@ -255,6 +262,14 @@ def _new_line(one: Discrepancy) -> Finding | None:
     return one.recorded if one.effect == LINE and one.relation == "lacking" else None
 
 
+def _spare_step(samples: Samples, one: Discrepancy) -> Array | None:
+    """Return what takes a step of the bias out that only the simulation has; None of all else."""
+    step = one.simulated
+    if step is None or not one.effect.endswith("_bias_step"):
+        return None
+    return -np.outer(samples.t >= step.where.t_start, np.asarray(step.parameters["step"].value))
+
+
 def _tone(samples: Samples, found: Finding) -> Array:
     """Return a sine of the frequency and amplitudes found, while it lasts, its axes in phase."""
     frequency, amplitude = (np.asarray(found.parameters[n].value) for n in ("frequency", "amplitude"))
@@ -288,6 +303,15 @@ def _limit(one: Discrepancy) -> float | None:
     if one.difference is None:
         return None if one.recorded is None else float(np.min(one.recorded.parameters["limit"].value))
     return float(np.exp(one.difference.recorded.value.min())) if one.relation == "too_large" else None
+
+
+def _coarse(one: Discrepancy) -> float | None:
+    """Return the step of the recording's values that the simulation's are finer than; None for all else."""
+    if not one.effect.endswith("_quantisation") or one.relation not in ("lacking", "too_small"):
+        return None
+    if one.difference is None:
+        return None if one.recorded is None else float(np.max(one.recorded.parameters["step"].value))
+    return float(np.exp(one.difference.recorded.value.max()))
 
 
 def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> Array | None:

@@ -5,7 +5,7 @@ Other motion and another length do not matter, and another rate is one finding: 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.axes import Exchange, exchange_of
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
-from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import driver_of
@@ -34,7 +34,7 @@ from stillcal.replay.formats.trace import Recording
 Correct = Callable[[Comparison, dict[str, Any]], Corrected]
 """Puts what was found into a simulation: the comparison and its answer in plain values are given."""
 
-ON_VALUES = (*OF_DENSITY, "saturation", "bandwidth", "time_offset")
+ON_VALUES = (*OF_DENSITY, "saturation", "quantisation", "bandwidth", "time_offset")
 """Effects, by the end of their names, that change a sensor's noise at rest, its single values or its time."""
 
 
@@ -116,8 +116,7 @@ def judge_examined(
     made = _added(recording, simulation, before) if again is None else again(before, answer)
     measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
     if again is None:
-        changed = {d.sensor for d in before.discrepancies if d.effect.endswith(ON_VALUES)}
-        measured = with_own_values(measured, simulated, changed)
+        measured = with_own_values(measured, simulated, of_other_values(before.discrepancies, made))
     after = compare(recorded, measured, names)
     answer = answered(before, Fit.of(before, after, made.left_out), recorded, simulated, names)
     return Judged(recording, recorded, simulated, before, after, made.recording, answer)
@@ -171,6 +170,12 @@ def _warmed(simulation: Recording, recorded: Bins) -> Recording:
         overview = replace(warm.overview, thermometer=np.column_stack([t, course.at(t)]))
         return replace(warm, overview=overview)
     return warm
+
+
+def of_other_values(discrepancies: Sequence[Discrepancy], made: Corrected) -> set[str]:
+    """Return the sensors whose noise or single values were changed on purpose."""
+    put_in = (d for d in discrepancies if d.effect not in made.left_out)
+    return {d.sensor for d in put_in if d.effect.endswith(ON_VALUES)}
 
 
 def with_own_values(measured: Examination, simulated: Examination, changed: Collection[str]) -> Examination:

@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
-from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -36,7 +36,7 @@ from stillcal.calib_core.streams.resample import read_at, temperature_at
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import clipped, correct, low_passed
-from stillcal.replay.diagnosis.given_simulation import ON_VALUES, with_own_values
+from stillcal.replay.diagnosis.given_simulation import of_other_values, with_own_values
 from stillcal.replay.diagnosis.judged import (
     Judged,
     ShowStage,
@@ -97,7 +97,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
         made = correct(simulation, played, {})
         left = align(readings_of(recording), mean_readings(recording, [made.recording]), unsure, at_rest)
         after = without_found(exam, slow, left.found, left)
-        measured = _measured(made.recording, simulated, played)
+        measured = examined(made.recording, silent, sought=())
+        measured = with_own_values(measured, simulated, of_other_values(played, made))
         after = after.and_of(compare_samples((recorded, measured), names, beside))
         out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
         fit = Fit.of(before, after, [*out, *made.left_out])
@@ -105,12 +106,6 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
     answer = answer_of(before, names, fit, stated, exam.bins.temperature)
     return Judged(recording, exam, simulated, before, None, None, answer)
-
-
-def _measured(made: Recording, simulated: Examination, played: Sequence[Discrepancy]) -> Examination:
-    """Return what a corrected simulation shows, its own values and noise where these were left alone."""
-    changed = {d.sensor for d in played if d.effect.endswith(ON_VALUES)}
-    return with_own_values(examined(made, silent, sought=()), simulated, changed)
 
 
 def _alike(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.direct import why_not_shown
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, Relation, subtract
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
@@ -228,3 +228,41 @@ def test_noise_is_added_to_one_axis_though_by_chance_another_has_less() -> None:
     assert added[1] == pytest.approx(np.sqrt((4e-3**2 - 2e-3**2) * rate / 2.0), rel=0.1)
     assert added[0] == 0.0 and added[2] < 0.05 * added[1]
     assert correct(recording, [louder([1e-3, 4e-3, 2e-3], ["x", "y"])], {}).left_out == ["noise_level"]
+
+
+def alone(effect: str, values: dict[str, Parameter], *, of_recording: bool) -> Discrepancy:
+    """Return what one of the two has from 4 s on, on x and y."""
+    where = Where(4.0, 10.0, (0.0, 0.1), "time")
+    found = Finding(effect, "accel", ["x", "y"], where, values, Evidence(9.0), [], "")
+    relation: Relation = "lacking" if of_recording else "superfluous"
+    own = (found, None) if of_recording else (None, found)
+    return Discrepancy(effect, "accel", ["x", "y"], where, relation, 1.0, 9.0, None, *own)
+
+
+def fine() -> Recording:
+    t = np.arange(500) / 50.0
+    xyz = np.random.default_rng(5).normal(size=(500, 3))
+    return Recording(Samples(Sensor.ACCELEROMETER, t, xyz), None, [], Claims(), [])
+
+
+def test_values_that_are_coarse_in_the_recording_are_rounded_on_its_axes() -> None:
+    coarse = alone("accel_quantisation", {"step": Parameter(0.04, [0.04, 0.04], "m/s^2")}, of_recording=True)
+    done, before = correct(fine(), [coarse], {}), fine().accelerometer.xyz
+    steps = done.recording.accelerometer.xyz / 0.04
+    assert done.left_out == []
+    np.testing.assert_allclose(steps[:, :2], np.rint(before[:, :2] / 0.04), rtol=0.0, atol=1e-9)
+    assert (done.recording.accelerometer.xyz[:, 2] == before[:, 2]).all()
+
+
+def test_values_that_are_coarse_in_the_simulation_cannot_be_made_fine() -> None:
+    coarse = alone("accel_quantisation", {"step": Parameter(0.04, [0.04, 0.04], "m/s^2")}, of_recording=False)
+    assert correct(fine(), [coarse], {}).left_out == ["accel_quantisation"]
+
+
+def test_a_step_that_only_the_simulation_has_is_taken_out_of_it() -> None:
+    size = Parameter([0.1, -0.2, 0.0], [[0.1, 0.1], [-0.2, -0.2], [0.0, 0.0]], "m/s^2")
+    done = correct(fine(), [alone("accel_bias_step", {"step": size}, of_recording=False)], {})
+    away = done.recording.accelerometer.xyz - fine().accelerometer.xyz
+    assert done.left_out == []
+    np.testing.assert_allclose(away[:200], 0.0, atol=1e-12)
+    np.testing.assert_allclose(away[200:], np.tile([-0.1, 0.2, 0.0], (300, 1)), atol=1e-12)
