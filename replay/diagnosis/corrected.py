@@ -270,9 +270,14 @@ def _spare_step(samples: Samples, one: Discrepancy) -> Array | None:
     return -np.outer(samples.t >= step.where.t_start, np.asarray(step.parameters["step"].value))
 
 
-def _tone(samples: Samples, found: Finding) -> Array:
-    """Return a sine of the frequency and amplitudes found, while it lasts, its axes in phase."""
+def _tone(samples: Samples, found: Finding) -> Array | None:
+    """Return a sine of the frequency and amplitudes found, while it lasts, its axes in phase.
+
+    None where the samples are too slow for it: they would show another frequency.
+    """
     frequency, amplitude = (np.asarray(found.parameters[n].value) for n in ("frequency", "amplitude"))
+    if frequency >= _rate(samples) / 2.0:
+        return None
     wave = np.sin(2.0 * np.pi * frequency * samples.t) * _there(samples.t, found)
     return np.asarray(np.outer(wave, amplitude))
 

@@ -194,6 +194,13 @@ def test_a_vibration_for_a_while_is_in_the_same_part_of_the_simulation() -> None
     assert np.std(out[there], axis=0) == pytest.approx(np.array([0.01, 0.0, 0.02]) / np.sqrt(2.0), rel=0.01)
 
 
+def test_a_vibration_that_the_simulation_is_too_slow_for_is_left_out() -> None:
+    slow = Samples(Sensor.ACCELEROMETER, np.arange(500) / 5.0, np.zeros((500, 3)))
+    done = correct(Recording(slow, None, [], Claims(), []), [hum(0.0, 100.0)], {})
+    assert done.left_out == ["vibration_tone"]
+    assert (done.recording.accelerometer.xyz == 0.0).all()
+
+
 def test_a_vibration_leaves_the_means_of_a_long_simulation_and_adds_to_their_variance() -> None:
     t = np.arange(5000) / 50.0
     still = Samples(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))
