@@ -11,13 +11,14 @@ import pytest
 from msgspec import structs
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.screen import screened
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
+from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_residuals
 from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins, told_of_temperatures
 from stillcal.replay.formats.rest_table import read_rest_table
@@ -133,6 +134,19 @@ def test_a_large_slope_over_temperature_is_the_point_of_a_second_search() -> Non
     (found,) = diagnose_rests(rests, "rests.csv")["findings"]
     assert found["effect"] == "accel_bias_temperature"
     np.testing.assert_allclose(found["parameters"]["slope"]["value"], slope, atol=1e-5)
+
+
+@pytest.mark.parametrize(("rows", "most"), [(24, 7), (46, 18)])
+def test_no_free_curve_goes_through_all_of_a_few_rests(rows: int, most: int) -> None:
+    """Of temperature one had 18 numbers for 24 rests, and went before a slope or step that was there."""
+    up = np.random.default_rng(7).normal(size=(rows, 3))
+    force = 9.80665 * up / np.linalg.norm(up, axis=1, keepdims=True)
+    rests = [structs.replace(rest(240.0 * i, 20.0 + i), specific_force=own) for i, own in enumerate(force)]
+    (residuals,) = by_sensor(rest_bins(rests), 9.80665)
+    found = proposals(residuals, effects_of("accel"))
+    free = [h.sizes.size for h in found if h.effect.name == "unknown"]
+    assert 0 < max(free) <= most
+    assert {"accel_bias_temperature", "accel_nonlinearity"} <= {h.effect.name for h in found}
 
 
 def warmed(celsius: Array) -> Bins:
