@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.errors import UserError
@@ -118,6 +118,12 @@ class Samples:
             None if self.temperature is None else self.temperature[rows],
             None if self.t_arrival is None else self.t_arrival[rows],
         )
+
+    def where(self, kept: NDArray[np.bool_]) -> Samples:
+        """Return the samples that are `kept`, (n,)."""
+        columns = (self.temperature, self.t_arrival)
+        temperature, arrival = (None if c is None else frozen(c[kept]) for c in columns)
+        return Samples(self.sensor, frozen(self.t[kept]), frozen(self.xyz[kept]), temperature, arrival)
 
     def between(self, t_start: float, t_end: float) -> Samples:
         """Return the samples with t_start <= t < t_end."""

@@ -1,9 +1,7 @@
 """A simulated recording with the differences that were found put into its samples.
 
-What an effect adds is its response in the catalogue, at samples that exist already.
-A low-pass filters them, or takes the place of the one that they have; a delay stamps them that much later.
-A limit clips them, and coarse values round them.
-What cannot be put into samples (another rate, less noise) is left out and named.
+What an effect adds is its response in the catalogue, at samples that exist already. Others change the samples
+(`sample_changes`). What cannot be put into samples (another rate, less noise) is left out and named.
 """
 
 from __future__ import annotations
@@ -15,10 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS, OF_DENSITY
-from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
+from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, covariate_effects
@@ -26,7 +23,6 @@ from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_sam
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
-from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
@@ -37,6 +33,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.judged import bins_of, charging_events, claims_of
 from stillcal.replay.diagnosis.phone.case import with_errors
+from stillcal.replay.diagnosis.sample_changes import changes, limit_of, rate_of, sensors_of
 from stillcal.replay.formats.trace import Recording
 
 MATRIX_NUMBERS = 9
@@ -71,7 +68,8 @@ def correct(
     if not isinstance(simulation, LongRecording) or simulation.overview is None:
         return corrected
     seconds = _seconds(simulation, simulation.overview)
-    slow = [d for d in discrepancies if not (_moves(d) or _new_line(d) or _coarse(d))]
+    of_samples = [id(one) for one, _ in changes(discrepancies, seed) if limit_of(one) is None]
+    slow = [d for d in discrepancies if id(d) not in of_samples and _new_line(d) is None]
     changed = _with_added(seconds, slow, biases, seed).recording
     white = [d for d in discrepancies if d.effect in OF_DENSITY and d.difference is not None]
     known = simulation.overview
@@ -79,7 +77,7 @@ def correct(
     for one in white:
         samples = simulation.accelerometer if one.sensor == "accel" else simulation.gyroscope
         if samples is not None and (_missing(one) >= 0.0).all():
-            power[one.sensor] += _missing(one) / 2.0 * _rate(samples)
+            power[one.sensor] += _missing(one) / 2.0 * rate_of(samples)
     for line in filter(None, map(_new_line, discrepancies)):
         there = _there(known.force.t, line)
         power[line.sensor] += np.outer(there, np.square(line.parameters["amplitude"].value) / 2.0)
@@ -144,8 +142,9 @@ def _with_added(
         "accel": simulation.accelerometer,
         "gyro": simulation.gyroscope,
     }
+    changed = changes(discrepancies, seed)
     # A scale acts on what the simulation's sensor read, hence before anything is added to that.
-    linear = [d for d in discrepancies if not (_limit(d) or _coarse(d) or _moves(d))]
+    linear = [d for d in discrepancies if all(d is not one for one, _ in changed)]
     for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
         added = None if samples is None else _added(drivers, samples, one, biases, rng)
@@ -153,20 +152,10 @@ def _with_added(
             left_out.append(one.effect)
         else:
             streams[one.sensor] = replace(samples, xyz=frozen(samples.xyz + added))
-    for one in filter(_moves, discrepancies):
-        sensor = "gyro" if one.effect == DELAY else one.sensor
-        samples = streams.get(sensor)
-        streams[sensor] = None if samples is None else _moved(samples, one)
-    for one in discrepancies:
-        limit, samples = _limit(one), streams.get(one.sensor)
-        if limit is not None and samples is not None:
-            streams[one.sensor] = clipped(samples, limit)
-    for one in discrepancies:
-        step, samples = _coarse(one), streams.get(one.sensor)
-        if step is not None and samples is not None:
-            coarse = [not one.axes or axis in one.axes for axis in AXES]
-            rounded = np.where(coarse, np.rint(samples.xyz / step) * step, samples.xyz)
-            streams[one.sensor] = replace(samples, xyz=frozen(rounded))
+    for one, change in changed:
+        for sensor in sensors_of(one):
+            samples = streams[sensor]
+            streams[sensor] = None if samples is None else change(samples)
     accelerometer = streams["accel"]
     assert accelerometer is not None, "every recording has an accelerometer"
     return Corrected(replace(simulation, accelerometer=accelerometer, gyroscope=streams["gyro"]), left_out)
@@ -183,7 +172,7 @@ def _added(
     if (line := _new_line(one)) is not None:
         return _tone(samples, line)
     if one.difference is None:
-        return _spare_step(samples, one)
+        return _step(samples, one)
     if one.effect in OF_DENSITY:
         return _noise(samples, one, rng)
     kind = one.effect.partition("_")[2]
@@ -194,80 +183,20 @@ def _added(
     return _by_physics(drivers, samples, one.difference)
 
 
-def _moves(one: Discrepancy) -> bool:
-    """Whether it is a delay, or a low-pass that the recording has."""
-    has = one.difference is not None and not one.difference.recorded.none
-    return one.effect == DELAY or (one.effect == LOW_PASS and has)
-
-
-def _moved(samples: Samples, one: Discrepancy) -> Samples:
-    """Return the samples with a delay in their stamps, or behind the recording's low-pass.
-
-    What was read is stamped later. Values between the samples would be means of their noise, and means of two
-    look like a low-pass, which delays by as much.
-    """
-    if one.effect == DELAY:
-        return replace(samples, t=frozen(samples.t + _delay(one)))
-    assert one.difference is not None, "a low-pass is measured in both"
-    return low_passed(samples, one.difference.recorded, one.difference.simulated)
-
-
-def _delay(one: Discrepancy) -> float:
-    """Return by how much later than in the simulation the gyroscope reads, s."""
-    if one.difference is not None:
-        both = one.difference.recorded, one.difference.simulated
-        late, other = (float(np.exp(q.value[0]) if q.logarithmic else q.value[0]) for q in both)
-        return late - other
-    own = one.recorded or one.simulated
-    assert own is not None, "what has no difference was found in one of the two"
-    delay = float(np.ravel(own.parameters["delay"].value)[0])
-    return delay if one.recorded is not None else -delay
-
-
-def low_passed(samples: Samples, found: Quantity, own: Quantity | None = None) -> Samples:
-    """Return samples behind a low-pass as it was measured, a Butterworth filter.
-
-    own: the low-pass that they are behind already, which it takes the place of. Both filters have zeros where
-    nothing passes, as many as their orders; those of the one stand for those of the other.
-    """
-    from scipy.signal import butter, lfilter, lfilter_zi  # noqa: PLC0415 - scipy is loaded when it is needed
-
-    rate, order = _rate(samples), _order(found)
-    _, poles = butter(order, float(np.exp(found.value[0])), fs=rate)
-    zeros, instead = order, np.ones(1)
-    if own is not None and not own.none:
-        zeros = max(order - _order(own), 0)
-        _, instead = butter(_order(own), float(np.exp(own.value[0])), fs=rate)
-    made = np.convolve(np.poly(-np.ones(zeros)), instead)
-    made *= poles.sum() / made.sum()
-    state = np.outer(lfilter_zi(made, poles), samples.xyz[0])
-    return replace(samples, xyz=frozen(lfilter(made, poles, samples.xyz, axis=0, zi=state)[0]))
-
-
-def _order(low_pass: Quantity) -> int:
-    return int(low_pass.reference["order"])
-
-
-def clipped(samples: Samples, limit: float) -> Samples:
-    """Return samples that stop at a limit."""
-    return replace(samples, xyz=frozen(np.clip(samples.xyz, -limit, limit)))
-
-
-def _rate(samples: Samples) -> float:
-    return float(np.exp(counted_rate(samples).value[0]))
-
-
 def _new_line(one: Discrepancy) -> Finding | None:
     """Return the vibration of a difference that only the recording has; None of any other difference."""
     return one.recorded if one.effect == LINE and one.relation == "lacking" else None
 
 
-def _spare_step(samples: Samples, one: Discrepancy) -> Array | None:
-    """Return what takes a step of the bias out that only the simulation has; None of all else."""
-    step = one.simulated
+def _step(samples: Samples, one: Discrepancy) -> Array | None:
+    """Return a step of the bias of the recording alone, or what takes out one of the simulation alone.
+
+    None of all else.
+    """
+    step, sign = (one.recorded, 1.0) if one.recorded is not None else (one.simulated, -1.0)
     if step is None or not one.effect.endswith("_bias_step"):
         return None
-    return -np.outer(samples.t >= step.where.t_start, np.asarray(step.parameters["step"].value))
+    return sign * np.outer(samples.t >= step.where.t_start, np.asarray(step.parameters["step"].value))
 
 
 def _tone(samples: Samples, found: Finding) -> Array | None:
@@ -276,7 +205,7 @@ def _tone(samples: Samples, found: Finding) -> Array | None:
     None where the samples are too slow for it: they would show another frequency.
     """
     frequency, amplitude = (np.asarray(found.parameters[n].value) for n in ("frequency", "amplitude"))
-    if frequency >= _rate(samples) / 2.0:
+    if frequency >= rate_of(samples) / 2.0:
         return None
     wave = np.sin(2.0 * np.pi * frequency * samples.t) * _there(samples.t, found)
     return np.asarray(np.outer(wave, amplitude))
@@ -299,24 +228,6 @@ def _on_clock(one: Discrepancy, own: tuple[float, float], other: tuple[float, fl
     where = one.recorded.where
     start, end = np.interp([where.t_start, where.t_end], own, other)
     return replace(one, recorded=replace(one.recorded, where=replace(where, t_start=start, t_end=end)))
-
-
-def _limit(one: Discrepancy) -> float | None:
-    """Return the limit at which the recording's sensor stops below the simulation's; None for all else."""
-    if not one.effect.endswith("_saturation"):
-        return None
-    if one.difference is None:
-        return None if one.recorded is None else float(np.min(one.recorded.parameters["limit"].value))
-    return float(np.exp(one.difference.recorded.value.min())) if one.relation == "too_large" else None
-
-
-def _coarse(one: Discrepancy) -> float | None:
-    """Return the step of the recording's values that the simulation's are finer than; None for all else."""
-    if not one.effect.endswith("_quantisation") or one.relation not in ("lacking", "too_small"):
-        return None
-    if one.difference is None:
-        return None if one.recorded is None else float(np.max(one.recorded.parameters["step"].value))
-    return float(np.exp(one.difference.recorded.value.max()))
 
 
 def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> Array | None:
@@ -434,7 +345,7 @@ def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Arra
     missing = _missing(one)
     if (missing < 0.0).any():
         return None
-    return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * _rate(samples) / 2.0))
+    return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * rate_of(samples) / 2.0))
 
 
 def _missing(one: Discrepancy) -> Array:

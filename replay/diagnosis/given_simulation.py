@@ -34,7 +34,7 @@ from stillcal.replay.formats.trace import Recording
 Correct = Callable[[Comparison, dict[str, Any]], Corrected]
 """Puts what was found into a simulation: the comparison and its answer in plain values are given."""
 
-ON_VALUES = (*OF_DENSITY, "saturation", "quantisation", "bandwidth", "time_offset")
+ON_VALUES = (*OF_DENSITY, "saturation", "quantisation", "held_samples", "bandwidth", "time_offset")
 """Effects, by the end of their names, that change a sensor's noise at rest, its single values or its time."""
 
 

@@ -35,7 +35,7 @@ from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.resample import read_at, temperature_at
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
-from stillcal.replay.diagnosis.corrected import clipped, correct, low_passed
+from stillcal.replay.diagnosis.corrected import correct
 from stillcal.replay.diagnosis.given_simulation import of_other_values, with_own_values
 from stillcal.replay.diagnosis.judged import (
     Judged,
@@ -45,6 +45,7 @@ from stillcal.replay.diagnosis.judged import (
     refuse_short,
     silent,
 )
+from stillcal.replay.diagnosis.sample_changes import clipped, low_passed
 from stillcal.replay.formats.trace import Recording
 
 SAME_STAMP = 0.1

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import of_shares
 from stillcal.calib_core.diagnosis.model.measurement import (
     DirectEvidence,
@@ -63,11 +63,7 @@ def without_doubles(samples: Samples) -> tuple[Samples, int]:
     same = (np.diff(samples.t) == 0.0) & (np.diff(samples.xyz, axis=0) == 0.0).all(axis=1)
     if not same.any():
         return samples, 0
-    keep = np.concatenate([[True], ~same])
-    columns = (samples.temperature, samples.t_arrival)
-    temperature, arrival = (None if c is None else frozen(c[keep]) for c in columns)
-    kept = Samples(samples.sensor, frozen(samples.t[keep]), frozen(samples.xyz[keep]), temperature, arrival)
-    return kept, int(same.sum())
+    return samples.where(np.concatenate([[True], ~same])), int(same.sum())
 
 
 def doubled(samples: Samples, count: int, once: float) -> Finding | None:

@@ -13,7 +13,8 @@ from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Param
 from stillcal.calib_core.diagnosis.segments.static_bins import overview_of
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording
-from stillcal.replay.diagnosis.corrected import correct, low_passed
+from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.sample_changes import low_passed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import turned as shaken
@@ -266,10 +267,53 @@ def test_values_that_are_coarse_in_the_simulation_cannot_be_made_fine() -> None:
     assert correct(fine(), [coarse], {}).left_out == ["accel_quantisation"]
 
 
-def test_a_step_that_only_the_simulation_has_is_taken_out_of_it() -> None:
+@pytest.mark.parametrize(("of_recording", "sign", "first"), [(False, -1.0, 200), (True, 1.0, 100)])
+def test_a_step_of_one_of_the_two_is_put_in_or_taken_out(of_recording: bool, sign: float, first: int) -> None:
+    """The recording lasts twice as long: its step comes after the same part of either."""
     size = Parameter([0.1, -0.2, 0.0], [[0.1, 0.1], [-0.2, -0.2], [0.0, 0.0]], "m/s^2")
-    done = correct(fine(), [alone("accel_bias_step", {"step": size}, of_recording=False)], {})
+    step = alone("accel_bias_step", {"step": size}, of_recording=of_recording)
+    done = correct(fine(), [step], {}, span=(0.0, 2.0 * float(fine().accelerometer.t[-1])))
     away = done.recording.accelerometer.xyz - fine().accelerometer.xyz
     assert done.left_out == []
-    np.testing.assert_allclose(away[:200], 0.0, atol=1e-12)
-    np.testing.assert_allclose(away[200:], np.tile([-0.1, 0.2, 0.0], (300, 1)), atol=1e-12)
+    np.testing.assert_allclose(away[:first], 0.0, atol=1e-12)
+    np.testing.assert_allclose(away[first:], np.tile(sign * np.array([0.1, -0.2, 0.0]), (500 - first, 1)))
+
+
+def less(effect: str, sensor: str, recorded: float = 0.2, simulated: float = 0.1) -> Discrepancy:
+    """Return that the simulation has less of what comes by chance, a share or a standard deviation."""
+    where = Where(0.0, 10.0, (0.0, 0.0), "time stamps")
+    had = [
+        Quantity(
+            effect, sensor, (Part("number", "1", 1),), np.log([number]), np.array([[1e-4]]), np.ones(1),
+            np.full(1, 0.05), np.array([-1]), logarithmic=True, where=where,
+        )
+        for number in (recorded, simulated)
+    ]  # fmt: skip
+    return Discrepancy(effect, sensor, [], where, "too_small", 1.0, 50.0, subtract(*had))
+
+
+def test_samples_are_lost_until_as_many_are_missing_as_in_the_recording() -> None:
+    whole = turned(2.0)
+    done = correct(whole, [less("dropped_samples", "timing")], {})
+    assert done.left_out == [] and done.recording.gyroscope is not None
+    left = done.recording.accelerometer
+    assert len(left) / len(whole.accelerometer) == pytest.approx(0.8 / 0.9, abs=0.01)
+    rows = np.searchsorted(whole.accelerometer.t, left.t)
+    assert (left.xyz == whole.accelerometer.xyz[rows]).all()
+    assert np.array_equal(left.t, done.recording.gyroscope.t), "both are read together"
+
+
+def test_values_are_held_until_as_many_are_as_in_the_recording() -> None:
+    done, before = correct(fine(), [less("held_samples", "accel")], {}), fine().accelerometer
+    after = done.recording.accelerometer
+    held = (np.diff(after.xyz, axis=0) == 0.0).all(axis=1)
+    assert done.left_out == [] and np.array_equal(after.t, before.t)
+    assert held.mean() == pytest.approx(1.0 - 0.8 / 0.9, abs=0.04)
+    assert (after.xyz[1:][~held] == before.xyz[1:][~held]).all()
+
+
+def test_stamps_jitter_as_far_as_the_recordings_and_stay_in_order() -> None:
+    done, before = correct(fine(), [less("timestamp_jitter", "timing", 5e-3, 3e-3)], {}), fine().accelerometer
+    moved = done.recording.accelerometer.t - before.t
+    assert done.left_out == [] and (np.diff(done.recording.accelerometer.t) >= 0.0).all()
+    assert moved.std() == pytest.approx(4e-3, rel=0.1)
