@@ -49,7 +49,7 @@ def test_a_diagnosis_and_a_simulation_import_neither_scipy_stats_nor_scipy_signa
         "import sys\n"
         "from stillcal import diagnose, load, simulate\n"
         "simulate('lab')\n"
-        "diagnose(load('sample:lab'))\n"
+        "diagnose(load('sample:lab', stop=400))\n"
         "print([m for m in ('scipy.special', 'scipy.stats', 'scipy.signal') if m in sys.modules])\n"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)

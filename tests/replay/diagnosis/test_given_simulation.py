@@ -234,6 +234,7 @@ def coarse(recording: Recording, step: float = 0.012) -> Recording:
     return replace(recording, accelerometer=replace(recording.accelerometer, xyz=xyz))
 
 
+@pytest.mark.slow
 def test_the_corrected_simulation_passes_though_its_values_came_in_steps() -> None:
     """What is added lies between the steps: the noise of rounding must not count as the sensor's then."""
     said = answer(coarse(real()), coarse(simulated(0.0)))

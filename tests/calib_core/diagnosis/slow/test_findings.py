@@ -112,6 +112,7 @@ def test_named_with_axes_and_parameters(
     assert (first.evidence.log_bayes_factor or 0.0) > 7.0
 
 
+@pytest.mark.slow
 def test_heat_is_found_without_a_thermometer() -> None:
     warm = ("temperature", (0.01, 0.0, -0.008))
     findings = found("accel", 5, "gm50", SECONDS, accel_error=warm, thermometer=False)

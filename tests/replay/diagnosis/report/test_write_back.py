@@ -52,6 +52,7 @@ def test_a_recording_with_the_written_phone_is_accepted_and_one_without_its_term
     assert [(f["effect"], f["relation"]) for f in wrong["findings"]] == [(THERMAL["name"], "lacking")]
 
 
+@pytest.mark.slow
 def test_the_baseline_is_that_of_the_phone(case_with: Callable[..., Case]) -> None:
     case = case_with(THERMAL)
     found, true = case.phone(), phone_with()
