@@ -23,6 +23,9 @@ from stillcal.calib_core.streams.samples import Samples
 Change = Callable[[Samples], Samples]
 """Makes samples of one sensor as the recording's are."""
 
+MORE = ("lacking", "too_small")
+"""Relations of a simulation that has none of something, or less than the recording."""
+
 
 def changes(discrepancies: Sequence[Discrepancy], seed: int) -> list[tuple[Discrepancy, Change]]:
     """Return the differences that change samples, in order, and what does so. seed: of what is drawn."""
@@ -33,7 +36,7 @@ def changes(discrepancies: Sequence[Discrepancy], seed: int) -> list[tuple[Discr
 
 
 def sensors_of(one: Discrepancy) -> tuple[str, ...]:
-    """Return the sensors whose samples a difference changes: lost are those of both."""
+    """Return the sensors whose samples a difference changes; stamps are those of both."""
     if one.sensor == "timing":
         return ("gyro",) if one.effect == DELAY else ("accel", "gyro")
     return (one.sensor,)
@@ -130,10 +133,6 @@ def _rounding(one: Discrepancy) -> Change | None:
         return replace(samples, xyz=frozen(np.where(coarse, np.rint(samples.xyz / step) * step, samples.xyz)))
 
     return rounded
-
-
-MORE = ("lacking", "too_small")
-"""Relations of a simulation that has none of something, or less than the recording."""
 
 
 def _both(one: Discrepancy, effect: str) -> tuple[float, float] | None:
