@@ -20,6 +20,7 @@ from stillcal.replay.diagnosis.judged import Judged
 from stillcal.replay.diagnosis.report import tables
 from stillcal.replay.diagnosis.report.pictures import Album, Picture
 from stillcal.replay.diagnosis.report.sides import in_pair
+from stillcal.replay.diagnosis.words.moments import moment
 from stillcal.replay.diagnosis.words.names import (
     BUILT_IN,
     THE_BUILT_IN,
@@ -165,7 +166,7 @@ def _title(finding: Mapping[str, Any]) -> str:
     axes = ", ".join(finding["axes"])
     own = finding[side_of(finding)]
     line = f", {own['frequency']['value']:.4g} Hz" if "frequency" in own else ""
-    step = f", at {finding['where']['t_start']:.0f} s" if finding["effect"].endswith("_bias_step") else ""
+    step = f", at {moment(finding['where']['t_start'])}" if finding["effect"].endswith("_bias_step") else ""
     return capital(noun(finding["effect"], finding["sensor"])) + (f" on {axes}" if axes else "") + line + step
 
 

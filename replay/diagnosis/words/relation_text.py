@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED
 from stillcal.replay.diagnosis.words.correction_code import equation_of
+from stillcal.replay.diagnosis.words.moments import moment, span
 from stillcal.replay.diagnosis.words.names import (
     BUILT_IN,
     THE_BUILT_IN,
@@ -186,7 +187,7 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
     if finding["effect"] != "axis_exchange":
         return ""
     start, end = finding["where"]["t_start"], finding["where"]["t_end"]
-    shown = f" The turns between rests show it from {start:z.0f} to {end:z.0f} s"
+    shown = f" The turns between rests show it {span(start, end)}"
     if told := finding.get("put_right"):
         return f"{shown}. {told}"
     return f"{shown}; they do not tell it from an exchange of the other sensor's axes."
@@ -195,11 +196,11 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
 def _when(finding: Mapping[str, Any]) -> str:
     """Return when a step comes, or a vibration lasts that is there for a part of the recording; else ""."""
     if finding["effect"].endswith("_bias_step"):
-        return f" It comes at {finding['where']['t_start']:.0f} s."
+        return f" It comes at {moment(finding['where']['t_start'])}."
     fraction = finding[side_of(finding)].get("fraction", {"value": 1.0})["value"]
     if finding["effect"] != "vibration_tone" or float(np.max(fraction)) >= 1.0:
         return ""
-    return f" It lasts from {finding['where']['t_start']:z.0f} to {finding['where']['t_end']:z.0f} s."
+    return f" It lasts {span(finding['where']['t_start'], finding['where']['t_end'])}."
 
 
 def side_of(finding: Mapping[str, Any]) -> str:
@@ -289,8 +290,7 @@ def _where(finding: Mapping[str, Any], side: str) -> str:
     """Return on which axes, where they are told apart, and when something is seen."""
     apart = all(_apart(p) for p in finding[side].values())
     where, axes = finding["where"], " and ".join(finding["axes"]) if apart else ""
-    start, end = (round(where[at]) for at in ("t_start", "t_end"))
-    return f"{f'on {axes} ' if axes else ''}from {start} to {end} s"
+    return f"{f'on {axes} ' if axes else ''}{span(where['t_start'], where['t_end'])}"
 
 
 def _sizes(finding: Mapping[str, Any], side: str) -> str:
