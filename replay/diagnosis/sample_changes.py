@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
+from stillcal.calib_core.diagnosis.comparison.not_logged import SHOWS_MORE
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.model.records import AXES
@@ -23,7 +24,7 @@ from stillcal.calib_core.streams.samples import Samples
 Change = Callable[[Samples], Samples]
 """Makes samples of one sensor as the recording's are."""
 
-MORE = ("lacking", "too_small")
+MORE = SHOWS_MORE[0]
 """Relations of a simulation that has none of something, or less than the recording."""
 
 

@@ -228,9 +228,10 @@ def _shown_unit(stamps: Array) -> float | None:
         return None
     typical, first = float(np.median(step)), float(stamps[0])
     units, day = TIME_UNITS.values(), LONG_TIME_UNITS["days"]
-    since_1970 = [s for s in [unit_since_1970(first)] if s is not None]
-    days = [day] if _SPREADSHEET_DAYS[0] < first < _SPREADSHEET_DAYS[1] else []
-    dated = [s for s in (*since_1970, *days) if FASTEST_STEP_S <= typical * s <= SLOWEST_STEP_S]
+    days = day if _SPREADSHEET_DAYS[0] < first < _SPREADSHEET_DAYS[1] else None
+    dated = [
+        s for s in (unit_since_1970(first), days) if s and FASTEST_STEP_S <= typical * s <= SLOWEST_STEP_S
+    ]
     in_range = [s for s in units if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
     fits = dated or ([] if (step == 1.0).all() else in_range)
     return fits[0] if fits else None

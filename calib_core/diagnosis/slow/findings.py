@@ -84,8 +84,8 @@ def slow_statements(
     """Return what the still bins of one sensor show, in the order it was found.
 
     without: effects that are left out of the catalogue; sought: the only ones that are in it, None: all of
-    them. What jumps from rest to rest leaves is not called
-    wander besides. Where nothing stands, nothing is explained, and wander is all that there is.
+    them. What jumps from rest to rest leaves is not called wander besides. Where nothing stands, nothing is
+    explained, and wander is all that there is.
     """
     effects = effects_in(residuals, without, sought)
     if len(residuals.bins) < thresholds.LEAST_BINS or not effects:

@@ -46,8 +46,8 @@ def code_of(finding: Finding) -> str:
 
     It takes t (n,) s, temperature (n,) degC or None, raw force (n, 3) m/s^2 and raw rate (n, 3) rad/s, all of
     one length, and returns t, force and rate without the effect. What is clipped cannot be known: it becomes
-    NaN. Of a bias while charging the function takes that as well. What only
-    the simulation has is taken out of the simulation's samples.
+    NaN. Of a bias while charging the function takes that as well. What only the simulation has is taken out
+    of the simulation's samples.
     """
     spare = finding.get("relation") == "superfluous"
     if spare:
