@@ -97,7 +97,7 @@ def read_numbers(flat: bytes) -> Array | None:
     except msgspec.DecodeError:
         pass
     try:
-        return None if b"_" in flat else np.array(list(map(float, flat.split(b","))))
+        return None if b"_" in flat else np.array(list(map(_number, flat.split(b","))))
     except ValueError:
         return None
 
@@ -105,7 +105,12 @@ def read_numbers(flat: bytes) -> Array | None:
 def is_number(cell: bytes) -> bool:
     """Whether a cell is a number or empty; whether it may be empty, the caller decides."""
     try:
-        float(cell or b"0")
+        _number(cell or b"0")
     except ValueError:
         return False
     return b"_" not in cell
+
+
+def _number(cell: bytes) -> float:
+    """Return the number in a cell, NaN for the `NA` that R writes. Raises ValueError."""
+    return np.nan if cell.strip() == b"NA" else float(cell)

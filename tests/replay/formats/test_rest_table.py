@@ -184,6 +184,15 @@ def test_temperatures_that_no_sensor_has_are_refused(tmp_path: Path, celsius: Ar
         read(tmp_path / "r.csv", "ax,ay,az,temperature", *lines(UP * G, np.array(celsius)))
 
 
+@pytest.mark.parametrize("cell", ["", "nan", "NA"])
+def test_a_rest_may_have_no_temperature(tmp_path: Path, cell: str) -> None:
+    """R writes NA, which was refused."""
+    rows = lines(UP * G, CELSIUS)
+    rows[1] = rows[1].rpartition(",")[0] + f",{cell}"
+    *_, celsius = read(tmp_path / "r.csv", "ax,ay,az,temperature", *rows)
+    np.testing.assert_array_equal(celsius, [CELSIUS[0], np.nan, CELSIUS[2]])
+
+
 def test_columns_of_the_own_names_go_before_others(tmp_path: Path) -> None:
     names = "time,acc_x,acc_y,acc_z,t,ax,ay,az"
     force, *_ = read(tmp_path / "r.csv", names, *lines(MINUTES, UP[::-1] * G, MINUTES * 60.0, UP * G))
