@@ -203,6 +203,9 @@ class Warmth:
     def of(cls, engine: Engine, t: float, celsius: float | None) -> Warmth:
         """Return it at t (s) and a reading, degC, None without a thermometer."""
         past = engine.present
+        if celsius is not None:
+            read = float(past.thermometer.believed(np.array([t]), np.array([celsius]))[0])
+            celsius = read if np.isfinite(read) else None
         lagged = None if celsius is None else past.thermometer.lagged(t, celsius)
         return cls(celsius, lagged, past.charger.at(t))
 

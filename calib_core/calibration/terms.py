@@ -53,6 +53,8 @@ def correct(
     record has no part of their sensor.
     """
     celsius = samples.temperature
+    if celsius is not None and _has_terms(record, samples.sensor):
+        celsius = thermometer.believed(samples.t, celsius)
     late = celsius is not None and any(lag_of(term) for term in record.terms)
     at = Drivers(
         celsius=celsius,

@@ -89,7 +89,18 @@ class Intake:
 
     def hear(self, t: Array, celsius: Array) -> None:
         """Take readings of the thermometer, degC at times t (s), both (n,)."""
-        self._state.thermometer = self._state.thermometer.with_readings(t, celsius)
+        before, now = self._state.thermometer.doubt, self._state.thermometer.with_readings(t, celsius)
+        self._state.thermometer = now
+        if now.doubt is not None and before is None:
+            why = (
+                f"the thermometer jumped to {now.doubt.celsius:.1f} degC, faster than a phone warms or cools"
+            )
+            why += ": it is not followed until it is back or a day has passed without a jump"
+            self._actions.append(Log(now.doubt.jumped_at, Level.WARNING, "thermometer", why))
+        elif now.doubt is None and before is not None:
+            self._actions.append(
+                Log(float(now.t[-1]), Level.INFO, "thermometer", "the thermometer is followed again")
+            )
 
     def known_until(self) -> float:
         """Return the time (s) up to which both streams are known; -inf before the first sample.
@@ -217,6 +228,8 @@ class Intake:
             lagged = state.thermometer.lagged(middle, rest.temperature)
             rest = msgspec.structs.replace(rest, lagged=frozen(lagged))
             self.hear(np.array([middle]), np.array([rest.temperature]))
+            if state.thermometer.doubts(middle):
+                rest = msgspec.structs.replace(rest, temperature=None, lagged=None)
         rest = self._with_sound_rates(rest)
         state.pool = self._index.with_rest(state.pool, HeldRest(rest, self._gravity_at(rest.t_end)))
         state.attitudes = self._index.attitudes(state.pool)

@@ -7,7 +7,7 @@ The lag is one of LAGS_S, or none; which one, the rests decide (calibration/bias
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,15 @@ of a rest is, when the rest has ended."""
 
 FRESH_S = 600.0
 """A reading that is older tells nothing of the temperature now."""
+
+JUMP_K, JUMP_K_PER_S = 4.0, 0.05
+"""A reading jumps that differs by more than these, K and K/s, from one of at most NEAR_S before. In half a
+minute that is 5.5 K; a phone that falls into cold water cools by some 5 K a minute."""
+
+NEAR_S = 90.0
+
+STEADY_S = 86400.0
+"""A thermometer that jumped is believed again when it has gone on for so long without another jump."""
 
 _STRAY_K_PER_S = 0.2 / 60.0
 """K/s by which the temperature may differ from a reading of before. Of the simulated lives of
@@ -55,12 +64,31 @@ class Reading:
         return _STRAY_K_PER_S * self.age_s
 
 
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """That a thermometer's readings jumped. jumped_at: s. t, celsius: s, degC, of its newest reading."""
+
+    jumped_at: float
+    t: float
+    celsius: float
+
+    def goes_on(self, t: float, celsius: float) -> Doubt:
+        """Return the doubt after a further reading, which may be a jump too."""
+        return Doubt(t if _jumps(t - self.t, celsius - self.celsius) else self.jumped_at, t, celsius)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Thermometer:
-    """Readings, oldest first, at most one for each cell. t: (n,) s. celsius: (n,) degC."""
+    """Readings that are believed, oldest first, at most one for each cell. t: (n,) s. celsius: (n,) degC.
+
+    doubt: that its readings jumped, None while they are believed. Doubted readings are not kept. They are
+    believed again when they are back, within FRESH_S, at the last one that was, or when they have gone on for
+    STEADY_S without another jump.
+    """
 
     t: Array = field(default_factory=lambda: frozen(np.empty(0)))
     celsius: Array = field(default_factory=lambda: frozen(np.empty(0)))
+    doubt: Doubt | None = None
 
     def with_readings(self, t: Array, celsius: Array) -> Thermometer:
         """Return the thermometer with readings (n,) more, whatever their order; what is old is forgotten.
@@ -71,7 +99,11 @@ class Thermometer:
         if not all_of_them.t.size:
             return all_of_them
         kept = all_of_them.t >= all_of_them.t[-1] - SPAN_S - LATE_S
-        return Thermometer(frozen(all_of_them.t[kept]), frozen(all_of_them.celsius[kept]))
+        return replace(all_of_them, t=frozen(all_of_them.t[kept]), celsius=frozen(all_of_them.celsius[kept]))
+
+    def doubts(self, t: float) -> bool:
+        """Tell whether a reading at t (s), a time of late, is doubted."""
+        return self.doubt is not None and (not self.t.size or t // CELL_S > self.t[-1] // CELL_S)
 
     def _joined(self, t: Array, celsius: Array) -> Thermometer:
         """Return the first reading of every cell, these and further ones (n,) taken together."""
@@ -82,7 +114,30 @@ class Thermometer:
             order = np.argsort(times, kind="stable")
             times, values = times[order], values[order]
         first = np.diff(np.floor(times / CELL_S), prepend=-np.inf) > 0
-        return Thermometer(frozen(times[first]), frozen(values[first]))
+        return self._judged(times[first], values[first])
+
+    def _judged(self, t: Array, celsius: Array) -> Thermometer:
+        """Return the thermometer after readings (n,), one for each cell, without those that are doubted."""
+        if self.doubt is None and not _jumps(np.diff(t), np.diff(celsius)).any():
+            return Thermometer(frozen(t), frozen(celsius))
+        newest = float(self.t[-1]) if self.t.size else -np.inf
+        believed = np.flatnonzero(t <= newest).tolist()
+        doubt = self.doubt
+        for k in range(len(believed), len(t)):
+            now, read = float(t[k]), float(celsius[k])
+            if doubt is None:
+                last = believed[-1] if believed else k
+                if _jumps(now - t[last], read - celsius[last]):
+                    doubt = Doubt(now, now, read)
+            elif now // CELL_S > doubt.t // CELL_S:
+                back = bool(believed) and now - t[believed[-1]] <= FRESH_S
+                back = back and abs(read - celsius[believed[-1]]) <= JUMP_K
+                doubt = doubt.goes_on(now, read)
+                if back or now - doubt.jumped_at >= STEADY_S:
+                    doubt = None
+            if doubt is None:
+                believed.append(k)
+        return Thermometer(frozen(t[believed]), frozen(celsius[believed]), doubt)
 
     def latest(self, t: float) -> Reading | None:
         """Return the newest reading at t (s) that is kept, None where it is older than FRESH_S.
@@ -93,6 +148,18 @@ class Thermometer:
         if not heard or t - self.t[heard - 1] > FRESH_S:
             return None
         return Reading(float(self.celsius[heard - 1]), t - float(self.t[heard - 1]))
+
+    def believed(self, t: Array, celsius: Array) -> Array:
+        """Return a run of readings (n,) degC at times t (n,) s without those that are doubted.
+
+        For FRESH_S the last one believed stands in for them; after that they are NaN. A jump counts from the
+        cell after it on.
+        """
+        heard = self._joined(t, celsius)
+        last = np.searchsorted(heard.t, t, side="right") - 1
+        since, held = np.r_[heard.t, -np.inf][last], np.r_[heard.celsius, np.nan][last]
+        own = np.floor(since / CELL_S) == np.floor(t / CELL_S)
+        return np.where(own | np.isnan(celsius), celsius, np.where(t - since <= FRESH_S, held, np.nan))
 
     def lagged(self, t: float, celsius: float) -> Array:
         """Return the temperatures of sensors that follow with each of LAGS_S, (k,) degC, NaN where unknown.
@@ -121,6 +188,11 @@ class Thermometer:
         rise = (celsius - heard.celsius[own])[:, None]
         answered = -np.expm1(-past) / np.maximum(past, 1e-12)
         return frozen(celsius[:, None] + behind[own] * np.exp(-past) - rise * answered)
+
+
+def _jumps(gap_s: Array | float, rise_k: Array | float) -> NDArray[np.bool_]:
+    """Tell whether readings differ by more than those of a phone can. gap_s: (n,) s. rise_k: (n,) K."""
+    return np.asarray((np.abs(rise_k) > JUMP_K + JUMP_K_PER_S * np.abs(gap_s)) & (np.abs(gap_s) <= NEAR_S))
 
 
 def _first_of_cells(t: Array, celsius: Array) -> NDArray[np.intp]:

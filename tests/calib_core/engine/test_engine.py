@@ -53,6 +53,13 @@ class Day:
         self.accel = replace(self.accel, xyz=frozen(moved))
         return self
 
+    def warmer_after(self, t: float, jump: float) -> Day:
+        """Shift the thermometer's readings (K) from time t (s) on."""
+        assert self.accel.temperature is not None
+        moved = self.accel.temperature + np.where(self.accel.t >= t, jump, 0.0)
+        self.accel = replace(self.accel, temperature=frozen(moved))
+        return self
+
     def lived(self) -> Day:
         assert self.whole.gyroscope is not None
         end = End(self.simulation.duration)
@@ -220,6 +227,17 @@ def test_a_first_calibration_with_a_prior_gives_way_when_the_attitudes_allow() -
     assert [part.with_prior for part in parts] == [True, False]
     before, after = (stated_uncertainty(part) for part in parts)
     assert before is not None and after is not None and after < 0.2 * before
+
+
+def test_rests_after_a_jump_of_the_thermometer_have_no_temperature_and_it_is_said() -> None:
+    day = Day(Poses(count=14, rest_s=(6.0, 8.0))).warmer_after(60.0, 12.0).lived()
+    (said,) = day.logged("thermometer")
+    assert 60.0 <= said.t <= 90.0 and "faster than a phone warms or cools" in said.why
+    rests = day.engine.state.memory
+    known = np.isfinite(rests.celsius)
+    assert known[rests.t < 55.0].all() and not known[rests.t > 95.0].any()
+    sound = Day(Poses(count=14, rest_s=(6.0, 8.0))).lived()
+    assert not sound.logged("thermometer") and np.isfinite(sound.engine.state.memory.celsius).all()
 
 
 def test_on_time_stays_within_burst_and_fraction() -> None:

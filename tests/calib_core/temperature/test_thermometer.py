@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.temperature.thermometer import CELL_S, LAGS_S, Thermometer, felt
+from stillcal.calib_core.temperature.thermometer import CELL_S, FRESH_S, LAGS_S, STEADY_S, Thermometer, felt
 
 T = np.arange(0.0, 5400.0, 10.0)
-STEP = np.where(T < 3000.0, 20.0, 30.0)
+STEP = np.where(T < 3000.0, 20.0, 25.0)
 
 
 def heard(t: np.ndarray, celsius: np.ndarray) -> Thermometer:
@@ -18,9 +18,9 @@ def heard(t: np.ndarray, celsius: np.ndarray) -> Thermometer:
 def test_a_lagged_temperature_rises_as_a_first_order_filter_does() -> None:
     thermometer = heard(T, STEP)
     for after in (60.0, 300.0, 900.0):
-        late = thermometer.lagged(3000.0 + after, 30.0)
-        wanted = 30.0 - 10.0 * np.exp(-after / np.array(LAGS_S))
-        assert late == pytest.approx(wanted, abs=10.0 * CELL_S / LAGS_S[0])  # when in its cell it stepped
+        late = thermometer.lagged(3000.0 + after, 25.0)
+        wanted = 25.0 - 5.0 * np.exp(-after / np.array(LAGS_S))
+        assert late == pytest.approx(wanted, abs=5.0 * CELL_S / LAGS_S[0])  # when in its cell it stepped
 
 
 def test_at_a_ramp_a_sensor_is_behind_by_its_lag() -> None:
@@ -76,3 +76,51 @@ def test_old_and_unknown_readings_go() -> None:
     thermometer = heard(T, STEP).with_readings(np.array([20000.0]), np.array([25.0]))
     assert thermometer.t.tolist() == [20000.0]
     assert len(heard(T, np.full(len(T), np.nan)).t) == 0
+
+
+def test_readings_that_jump_are_not_believed() -> None:
+    thermometer = heard(T, np.where(T < 3000.0, 20.0, 27.0))
+    assert thermometer.t[-1] < 3000.0 and (thermometer.celsius == 20.0).all()
+    assert thermometer.doubts(3010.0) and not thermometer.doubts(2900.0)
+    assert thermometer.latest(5400.0) is None
+
+
+def test_a_slip_of_the_thermometer_is_forgotten_when_it_is_over() -> None:
+    slip = heard(T, np.where((T >= 3000.0) & (T < 3300.0), 45.0, 20.0))
+    assert slip.doubt is None and (slip.celsius == 20.0).all()
+    assert not ((slip.t >= 3000.0) & (slip.t < 3300.0)).any() and (slip.t >= 3300.0).any()
+
+
+def test_back_after_too_long_a_time_is_no_slip() -> None:
+    away = (T >= 3000.0) & (T < 3000.0 + FRESH_S + 2 * CELL_S)
+    assert heard(T, np.where(away, 45.0, 20.0)).doubts(5390.0)
+
+
+def test_a_thermometer_is_believed_again_a_day_after_its_last_jump() -> None:
+    t = np.arange(0.0, 2 * STEADY_S, 60.0)
+    jumps = 8.0 * (t >= 3600.0) + 8.0 * (t >= 7200.0)
+    thermometer, since = Thermometer(), None
+    for begin in range(0, len(t), 30):
+        thermometer = thermometer.with_readings(t[begin : begin + 30], 20.0 + jumps[begin : begin + 30])
+        if since is None and t[begin] > 7200.0 and not thermometer.doubts(float(t[begin + 29])):
+            since = t[begin + 29]
+    assert since == pytest.approx(7200.0 + STEADY_S, abs=1800.0)
+    assert (thermometer.celsius == 36.0).all()
+
+
+@pytest.mark.parametrize("size", [1, 7, 250])
+def test_however_readings_are_cut_into_calls_the_same_ones_are_believed(size: int) -> None:
+    """A slip, a jump that stays, and one more reading that is missing."""
+    celsius = 20.0 + T / 1000.0 + 9.0 * (T >= 4000.0) - 9.0 * ((T >= 1000.0) & (T < 1400.0))
+    celsius[150] = np.nan
+    whole, parts, thermometer = Thermometer().believed(T, celsius), [], Thermometer()
+    for begin in range(0, len(T), size):
+        t, read = T[begin : begin + size], celsius[begin : begin + size]
+        parts.append(thermometer.believed(t, read))
+        thermometer = thermometer.with_readings(t, read)
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
+    assert np.array_equal(thermometer.t, heard(T, celsius).t)
+    slipped = (T >= 1020.0) & (T < 1380.0)
+    assert whole[slipped] == pytest.approx(20.99)  # the last one believed
+    assert whole[150:160] == pytest.approx(celsius[150:160], nan_ok=True)
+    assert np.isnan(whole[T > 4000.0 + FRESH_S]).all() and whole[410] == pytest.approx(23.99)
