@@ -68,7 +68,7 @@ def of_axes(nats: Array, alike: float = 1.0, axes_alike: float = 1.0) -> Array:
     many axes do.
     """
     total, freedom = 2.0 * nats.sum(axis=0) / alike, 2.0 * len(nats) / alike
-    single = log_tail(total, freedom).min(axis=-1)
+    single = log_tail(total.max(axis=-1), freedom)
     together = log_tail(total.sum(axis=-1) / axes_alike, 3.0 * freedom / axes_alike)
     return np.asarray(-np.minimum(single, together))
 

@@ -126,16 +126,14 @@ def lattice(code: Index) -> Repeats | None:
     return max(found, key=lambda r: r.nats, default=None)
 
 
-def _single(far: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return which of the far residuals (n,) have none near them but those that know of the same value."""
-    near, own = 4 * REACH, 2 * REACH
-    before = np.concatenate([np.zeros(near + 1), np.cumsum(far), np.full(near, far.sum())])
-    at = np.arange(far.size) + near
+def _single(far: NDArray[np.bool_]) -> Index:
+    """Return the places of far residuals (n,) that have none near but those that know of the same value."""
+    at = np.flatnonzero(far)
 
-    def within(reach: int) -> Array:
-        return np.asarray(before[at + reach + 1] - before[at - reach])
+    def within(reach: int) -> Index:
+        return np.asarray(np.searchsorted(at, at + reach, side="right") - np.searchsorted(at, at - reach))
 
-    return np.asarray(far & (within(near) == within(own)))
+    return np.asarray(at[within(4 * REACH) == within(2 * REACH)])
 
 
 def codes(values: Array) -> Index | None:
