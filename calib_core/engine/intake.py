@@ -95,7 +95,7 @@ class Intake:
             why = (
                 f"the thermometer jumped to {now.doubt.celsius:.1f} degC, faster than a phone warms or cools"
             )
-            why += ": it is not followed until it is back or a day has passed without a jump"
+            why += ": it is not followed until it has jumped back or a day has passed without a jump"
             self._actions.append(Log(now.doubt.jumped_at, Level.WARNING, "thermometer", why))
         elif now.doubt is None and before is not None:
             self._actions.append(

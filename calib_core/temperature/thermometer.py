@@ -72,9 +72,17 @@ class Doubt:
     t: float
     celsius: float
 
-    def goes_on(self, t: float, celsius: float) -> Doubt:
-        """Return the doubt after a further reading, which may be a jump too."""
-        return Doubt(t if _jumps(t - self.t, celsius - self.celsius) else self.jumped_at, t, celsius)
+    def after(self, t: float, celsius: float, believed: Reading) -> Doubt | None:
+        """Return the doubt after a further reading, None where it is over.
+
+        It is where the reading jumped back, or a day has passed without a jump. believed: the last reading
+        that was, as old as it is then.
+        """
+        jumped = bool(_jumps(t - self.t, celsius - self.celsius))
+        back = jumped and believed.age_s <= FRESH_S and abs(celsius - believed.celsius) <= JUMP_K
+        if back or t - self.jumped_at >= STEADY_S:
+            return None
+        return Doubt(t if jumped else self.jumped_at, t, celsius)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +90,7 @@ class Thermometer:
     """Readings that are believed, oldest first, at most one for each cell. t: (n,) s. celsius: (n,) degC.
 
     doubt: that its readings jumped, None while they are believed. Doubted readings are not kept. They are
-    believed again when they are back, within FRESH_S, at the last one that was, or when they have gone on for
+    believed again when they have jumped back, within FRESH_S, to the last one that was, or have gone on for
     STEADY_S without another jump.
     """
 
@@ -125,16 +133,12 @@ class Thermometer:
         doubt = self.doubt
         for k in range(len(believed), len(t)):
             now, read = float(t[k]), float(celsius[k])
+            last = believed[-1] if believed else k
             if doubt is None:
-                last = believed[-1] if believed else k
                 if _jumps(now - t[last], read - celsius[last]):
                     doubt = Doubt(now, now, read)
             elif now // CELL_S > doubt.t // CELL_S:
-                back = bool(believed) and now - t[believed[-1]] <= FRESH_S
-                back = back and abs(read - celsius[believed[-1]]) <= JUMP_K
-                doubt = doubt.goes_on(now, read)
-                if back or now - doubt.jumped_at >= STEADY_S:
-                    doubt = None
+                doubt = doubt.after(now, read, Reading(float(celsius[last]), now - float(t[last])))
             if doubt is None:
                 believed.append(k)
         return Thermometer(frozen(t[believed]), frozen(celsius[believed]), doubt)

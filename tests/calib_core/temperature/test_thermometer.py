@@ -91,6 +91,12 @@ def test_a_slip_of_the_thermometer_is_forgotten_when_it_is_over() -> None:
     assert not ((slip.t >= 3000.0) & (slip.t < 3300.0)).any() and (slip.t >= 3300.0).any()
 
 
+def test_a_phone_that_cools_after_a_jump_is_no_slip() -> None:
+    """The readings come back to where they were, but not at once: they are as much off as before."""
+    celsius = 30.0 + np.where(T < 3000.0, 0.0, 9.0 - np.minimum((T - 3000.0) / 60.0, 8.0))
+    assert heard(T, celsius).doubts(5390.0)
+
+
 def test_back_after_too_long_a_time_is_no_slip() -> None:
     away = (T >= 3000.0) & (T < 3000.0 + FRESH_S + 2 * CELL_S)
     assert heard(T, np.where(away, 45.0, 20.0)).doubts(5390.0)
