@@ -97,6 +97,12 @@ class Stream:
         return cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found)
 
     @property
+    def repeats_many(self) -> bool:
+        """Whether so many samples repeat the one before that its spectrum is not that of the noise."""
+        seen = repeats.Repeats.of(self.samples)
+        return seen is not None and seen.share().value >= repeats.MANY
+
+    @property
     def tells_filter(self) -> bool:
         """Whether its noise tells a low-pass, or that there is none."""
         if self.spectra is None or self.levels is None:

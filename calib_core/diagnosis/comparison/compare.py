@@ -193,7 +193,8 @@ def _sides(
         if apart(later, (f"{sensor}_bias", sensor)) < apart(sides, (f"{sensor}_bias", sensor)):
             sides = _with_those_of(sensor, sides, later)
     sides = not_logged.with_unknown_temperature(sides, unlogged)
-    return [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
+    every = [side | more for side, more in zip(sides, noise.low_passes(exams), strict=True)]
+    return noise.without_repeated(every)
 
 
 def _with_those_of(

@@ -258,7 +258,7 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
     coarse = hidden if stream.steps.hides_noise() else None
     tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream)
     yield Check("vibration_tone", sensor, tone)
-    noise = few or coarse or restless or (None if stream.levels is not None else why_no_density(stream))
+    noise = few or coarse or restless or _unjudged(stream)
     blurred = BLURRED if stream.steps.blurs_level() else None
     wide = None if "noise_heavy_tailed" not in stated else "heavy tails stand in the way"
     unclaimed = f"the datasheet's noise is not given (add {sensor}_noise_density to NAME.json)"
@@ -270,6 +270,11 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
         "noise_level": noise or blurred or wide or (None if claimed else unclaimed),
     }
     yield from (Check(name, sensor, None if name in stated else why) for name, why in reasons.items())
+
+
+def _unjudged(stream: Stream) -> str | None:
+    """Say why a stream's noise at rest is not judged; None where it is."""
+    return None if stream.levels is not None and not stream.repeats_many else why_no_density(stream)
 
 
 def _no_stretch(stream: Stream) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Part, Quantity, Relation
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
@@ -55,6 +56,7 @@ MOVED, SHAKEN = 4.0, 100.0
 the sensor's own white noise: no wander is ten times as loud within 2 s."""
 
 BLURRED = "its values come in steps larger than the noise"
+REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
 OF_NO_NAME = "what has no name is most of it, and its form is known to a tenth"
 KNOWN_FORM = float(np.log(10.0))
 """Of what has no name less than a tenth may be left because its form is not quite right, and is no noise."""
@@ -193,6 +195,23 @@ def _low_pass(stream: Stream) -> Quantity | None:
     )
 
 
+def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, Quantity]]:
+    """Return both sides without the white noise and low-pass of a sensor that repeats many more values.
+
+    Values that are repeated for one sample have more power at low and less at high frequencies.
+    """
+
+    def more(side: Mapping[Key, Quantity], other: Mapping[Key, Quantity], sensor: str) -> bool:
+        shares = (one.get(("held_samples", sensor)) for one in (side, other))
+        own, others = (0.0 if q is None or q.none else float(np.exp(q.value[0])) for q in shares)
+        return own - others >= MANY
+
+    return [
+        {k: q for k, q in side.items() if k[0] not in (LEVEL, LOW_PASS) or not more(side, other, k[1])}
+        for side, other in zip(sides, reversed(sides), strict=True)
+    ]
+
+
 def _within(stream: Stream, found: Quantity | None) -> bool:
     """Whether a sensor's rate is high enough to show a low-pass that was found in another recording."""
     return found is not None and float(np.exp(found.value[0])) < BANDWIDTH_LIMIT * stream.still.rate
@@ -200,13 +219,15 @@ def _within(stream: Stream, found: Quantity | None) -> bool:
 
 def why_not_measured(effect: str, stream: Stream) -> str:
     """Say why a stream shows no quantity of its noise."""
-    if effect == LOW_PASS and _low_pass(stream) is not None:
+    if effect == LOW_PASS and _low_pass(stream) is not None and not stream.repeats_many:
         return "its rate is too low to show it"
     return why_no_density(stream)
 
 
 def why_no_density(stream: Stream) -> str:
     """Say why a stream's white noise is not shown."""
+    if stream.repeats_many:
+        return REPEATED
     if stream.levels is not None and not stream.levels.white:
         return "its noise at rest is not white over most of the band"
     if stream.levels is not None:

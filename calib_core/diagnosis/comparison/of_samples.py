@@ -44,7 +44,8 @@ def compare_samples(
     beside: how many effects are compared besides, with which these share their prior odds.
     """
     more = noise.low_passes(exams)
-    sides = [_quantities(exam) | filters for exam, filters in zip(exams, more, strict=True)]
+    every = [_quantities(exam) | filters for exam, filters in zip(exams, more, strict=True)]
+    sides = noise.without_repeated(every)
     levels = [(noise.LEVEL, stream.sensor) for stream in exams[0].streams]
     keys = list(dict.fromkeys([*levels, *sides[0], *sides[1]]))
     both = [key for key in keys if all(key in side for side in sides)]
