@@ -2,9 +2,9 @@
 
 `python benchmarks/truth.py --phones 40 --days 7 --jobs 2` prints the tables; `--phones 1 --days 3` takes
 about a minute. Every ten minutes after the first calibration, what each contender would tell is compared with
-the truth. `--no-thermometer` withholds the temperatures; the rivals need them, and do not take part. With
-`--freezes DAY` the thermometer shows one reading from then on. `--keep DIR` keeps each life that has ended,
-and a run that was stopped goes on from there: forty weeks take hours.
+the truth. `--no-thermometer` withholds the temperatures; the rivals need them, and do not take part.
+`--keep DIR` keeps each life that has ended, and a run that was stopped goes on from there: forty weeks take
+hours. Thermometers that fail are in truth_thermometer.py.
 """
 
 # ruff: noqa: E402 - the number of threads is read when numpy is first imported
@@ -28,7 +28,7 @@ from timing import Row
 from truth_phones import MG, RATE_HZ, live
 from truth_rivals import DAY_S, DailyFit, OffsetTable, Vqf
 
-from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.record import CalibrationRecord
 from stillcal.calib_core.calibration.terms import bias_terms
 from stillcal.calib_core.engine.engine import Engine
@@ -94,16 +94,6 @@ def without_thermometer(chunk: Chunk) -> Chunk:
     """Return a chunk whose temperatures are withheld."""
     accel, gyro = (
         None if samples is None else replace(samples, temperature=None)
-        for samples in (chunk.accelerometer, chunk.gyroscope)
-    )
-    assert accel is not None
-    return replace(chunk, accelerometer=accel, gyroscope=gyro)
-
-
-def standing_still(chunk: Chunk, celsius: float) -> Chunk:
-    """Return a chunk whose thermometer shows one reading, degC."""
-    accel, gyro = (
-        None if samples is None else replace(samples, temperature=frozen(np.full(len(samples), celsius)))
         for samples in (chunk.accelerometer, chunk.gyroscope)
     )
     assert accel is not None
@@ -236,19 +226,17 @@ def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> 
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """How lives are lived. freezes: day from which on the thermometer shows one reading."""
+    """How lives are lived."""
 
     seed: int
     days: float
     thermometer: bool = True
-    freezes: float = np.inf
 
     @property
     def name(self) -> str:
         """Return them as a part of a file's name."""
         warmth = "" if self.thermometer else "_no_thermometer"
-        frozen_at = "" if np.isinf(self.freezes) else f"_freezes_{self.freezes:g}"
-        return f"seed_{self.seed}_days_{self.days:g}{warmth}{frozen_at}"
+        return f"seed_{self.seed}_days_{self.days:g}{warmth}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,15 +265,12 @@ def lived(number: int, conditions: Conditions, keep: Path | None = None) -> Live
 
 
 def _live_it(number: int, conditions: Conditions) -> Lived:
-    life, contest, rows, shown = live(number, conditions.seed, conditions.days), Contest(), [], np.nan
+    life, contest, rows = live(number, conditions.seed, conditions.days), Contest(), []
     thermometer = conditions.thermometer
-    for true_chunk in life.simulation.chunks(EVERY_S):
-        still = true_chunk.t_end > conditions.freezes * DAY_S
-        chunk = standing_still(true_chunk, shown) if still else true_chunk
+    for chunk in life.simulation.chunks(EVERY_S):
         contest.feed(chunk if thermometer else without_thermometer(chunk))
         assert chunk.accelerometer.temperature is not None
         t, celsius, met = chunk.t_end, float(chunk.accelerometer.temperature[-1]), contest.met
-        shown = celsius
         outside = max(min(met) - celsius, celsius - max(met), 0.0) if met else np.nan
         for a in contest.answers(t, celsius if thermometer else None) if contest.calibrated else ():
             truth = life.bias_at(a.sensor, t)
@@ -462,7 +447,6 @@ def _costs(costs: list[Cost]) -> Iterator[Row]:
 @click.option("--seed", default=0, show_default=True)
 @click.option("--jobs", default=1, show_default=True)
 @click.option("--thermometer/--no-thermometer", default=True, help="Withhold the temperatures.")
-@click.option("--freezes", default=np.inf, help="Day from which on the thermometer shows one reading.")
 @click.option(
     "--keep",
     type=click.Path(file_okay=False, path_type=Path),
