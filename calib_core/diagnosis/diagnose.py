@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.clear_bins import (
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
@@ -150,7 +150,7 @@ def examine(
     without: Collection[str] = (),
     sound: SoundPhones | None = None,
     covariates: Mapping[str, TimeSeries] | None = None,
-    sought: Collection[str] | None = None,
+    sought: Sequence[Hypothesis] | None = None,
     overview: Overview | None = None,
     delivered_twice: int = 0,
     progress: Callable[[float], None] = lambda _share: None,
@@ -158,10 +158,11 @@ def examine(
     """Measure a recording and find its effects; parameters and errors are those of `diagnose`.
 
     covariates: further logged columns by name, which a bias may follow. sought: the slow effects of rests
-    that are searched for; None: all of them, those of turns and what has no name, which takes most of the
-    time. A simulation that was made with known ones needs only to be measured. overview: every second of the
-    recording, where the samples are only some of it; None where they are all. delivered_twice: samples that
-    came twice and are here once. progress: is called with the share of the work that is done.
+    that may be there; None: all of them, those of turns and what has no name are searched for, which takes
+    most of the time. A simulation that was made with known ones needs only to be measured. overview: every
+    second of the recording, where the samples are only some of it; None where they are all.
+    delivered_twice: samples that came twice and are here once. progress: is called with the share of the
+    work that is done.
     """
     refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()

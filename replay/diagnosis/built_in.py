@@ -12,6 +12,7 @@ from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.corrected import with_known
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent
@@ -59,12 +60,12 @@ def _played(
     return Fit.of(before, after, left_out).without_own_constants(), after, corrected
 
 
-def _found_again(recorded: Examination) -> set[str]:
-    """Return the effects that are searched for in the corrected simulation.
+def _found_again(recorded: Examination) -> list[Hypothesis]:
+    """Return the effects that must be found again in the corrected simulation.
 
     What another recording can have as well is measured in both. What comes at a moment must be found again,
-    and with it what it was found beside.
+    and with it what it was found beside: alone, one of two may not stand out of what the other does.
     """
-    named = [s for s in recorded.statements if s.hypothesis is not None and s.finding.effect != "unknown"]
-    sensors = {s.finding.sensor for s in named if s.hypothesis and s.hypothesis.effect.recurs}
-    return {s.finding.effect for s in named if s.finding.sensor in sensors}
+    named = [s.hypothesis for s in recorded.statements if s.hypothesis and s.finding.effect != "unknown"]
+    sensors = {h.effect.sensor for h in named if h.effect.recurs}
+    return [h for h in named if h.effect.sensor in sensors]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,6 +12,7 @@ import msgspec
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine, refuse_too_little
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.errors import NotSupported
@@ -54,7 +55,7 @@ def examined(
     *,
     name: str = "",
     without: Collection[str] = (),
-    sought: Collection[str] | None = None,
+    sought: Sequence[Hypothesis] | None = None,
 ) -> Examination:
     """Measure a recording. name: of what is shown; without, sought: as for `diagnose.examine`.
 

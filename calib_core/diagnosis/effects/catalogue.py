@@ -77,12 +77,10 @@ def effects_of(sensor: str, without: Collection[str] = (), *, in_turns: bool = F
     return [e for e in (*every, *unknown_effects(sensor)) if e.in_turns == in_turns]
 
 
-def effects_in(
-    residuals: SensorResiduals, without: Collection[str] = (), sought: Collection[str] | None = None
-) -> list[Effect]:
+def effects_in(residuals: SensorResiduals, without: Collection[str] = ()) -> list[Effect]:
     """Return what residuals are judged by: the catalogue, and a bias that follows a further logged column.
 
-    without: as for `effects_of`. sought: the only names that are judged; None: every one.
+    without: as for `effects_of`.
     """
     logged: list[Effect] = []
     if not residuals.turns:
@@ -94,8 +92,7 @@ def effects_in(
             if spread > 0.0
             for effect in covariate_effects(residuals.sensor, name, spread)
         ]
-    every = [*logged, *effects_of(residuals.sensor, without, in_turns=bool(residuals.turns))]
-    return [e for e in every if sought is None or e.name in sought]
+    return [*logged, *effects_of(residuals.sensor, without, in_turns=bool(residuals.turns))]
 
 
 def nameless(effect: Effect) -> Effect:

@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.slow.search import (
     Scored,
     Step,
     adequate,
+    beside_each_other,
     forward,
     reduce_residuals,
     without_name,
@@ -79,18 +80,23 @@ def slow_findings(residuals: SensorResiduals, without: Collection[str] = ()) -> 
 
 
 def slow_statements(
-    residuals: SensorResiduals, without: Collection[str] = (), sought: Collection[str] | None = None
+    residuals: SensorResiduals, without: Collection[str] = (), sought: Sequence[Hypothesis] | None = None
 ) -> list[Stated]:
     """Return what the still bins of one sensor show, in the order it was found.
 
-    without: effects that are left out of the catalogue; sought: the only ones that are in it, None: all of
-    them. What jumps from rest to rest leaves is not called wander besides. Where nothing stands, nothing is
-    explained, and wander is all that there is.
+    without: effects that are left out of the catalogue. sought: the only ones that may be there, of any
+    sensor, each at its point; None: all of the catalogue are searched for. What jumps from rest to rest
+    leaves is not called wander besides. Where nothing stands, nothing is explained, and wander is all that
+    there is.
     """
-    effects = effects_in(residuals, without, sought)
-    if len(residuals.bins) < thresholds.LEAST_BINS or not effects:
+    if len(residuals.bins) < thresholds.LEAST_BINS:
         return []
-    steps = forward(residuals, effects)
+    if sought is None:
+        steps = forward(residuals, effects_in(residuals, without))
+    elif known := [h for h in sought if _may_show(residuals, h)]:
+        steps = beside_each_other(residuals, [residuals.hypothesis(h.effect, h.grid) for h in known])
+    else:
+        return []
     found, left = _jumps(residuals, steps)
     if found:
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
@@ -110,6 +116,12 @@ def slow_statements(
         *stated,
         *(Stated(replace(f, effect="unknown") if f.effect in without else f) for f in beside),
     ]
+
+
+def _may_show(residuals: SensorResiduals, other: Hypothesis) -> bool:
+    """Whether an effect of other residuals shows in these, if it is there."""
+    effect, moments = other.effect, residuals.moments
+    return effect.sensor == residuals.sensor and not effect.in_turns and effect.can_play(moments, other.grid)
 
 
 def _explained(steps: Sequence[Step]) -> list[Hypothesis]:

@@ -227,6 +227,15 @@ def forward(
     return steps
 
 
+def beside_each_other(residuals: SensorResiduals, known: Sequence[Hypothesis]) -> list[Step]:
+    """Return effects that are known to be there as steps, each with all the others projected out."""
+    steps = []
+    for own in known:
+        others = [h for h in known if h is not own]
+        steps += [refined(residuals, Step(s, ()), others) for s in compete(residuals, [own], others)]
+    return steps
+
+
 def adequate(steps: Sequence[Step]) -> list[Step]:
     """Withhold names that leave too much: a name is of the larger part, and what it leaves stands beside it.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
@@ -94,9 +95,19 @@ def test_a_step_is_taken_off_at_the_moment_at_which_it_stands_beside_the_slope()
 def test_only_what_is_sought_is_searched_for() -> None:
     """What a simulation was made with: nothing else is weighed against it, nor named in its place."""
     made = by_sensor(warming(4.0), nulls.G)[0]
-    (own,) = slow_statements(made, sought=["accel_bias_temperature"])
+    warm = made.hypothesis(BiasTemperature("accel"), {})
+    (own,) = slow_statements(made, sought=[warm, made.hypothesis(Step("gyro"), {"t_start": AT})])
     assert own.finding.effect == "accel_bias_temperature"
-    assert slow_statements(made, sought=["gyro_bias_step"]) == []
+    assert slow_statements(made, sought=[made.hypothesis(Step("gyro"), {"t_start": AT})]) == []
+
+
+def test_what_is_sought_is_found_though_neither_of_two_stands_out_alone() -> None:
+    """Searched for one by one, neither the slope nor the step stood out of what the other does."""
+    made = by_sensor(warming(1.5, step=-1.0, seed=3), nulls.G)[0]
+    known = [made.hypothesis(BiasTemperature("accel"), {}), made.hypothesis(Step("accel"), {"t_start": AT})]
+    slope, step = (s.finding for s in slow_statements(made, sought=known))
+    np.testing.assert_allclose(slope.parameters["slope"].value, 1.5 * SLOPE, rtol=0.2)
+    np.testing.assert_allclose(step.parameters["step"].value, -STEP, rtol=0.2)
 
 
 def test_a_steady_accelerometer_is_searched_once() -> None:
