@@ -18,7 +18,14 @@ from stillcal.replay.formats.clock import unit_since_1970
 from stillcal.replay.formats.columns import find_columns
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition import magic
-from stillcal.replay.formats.recognition.rest_columns import FORCE, RATE, SCATTER, RestColumn, rest_columns
+from stillcal.replay.formats.recognition.rest_columns import (
+    FORCE,
+    FORCE_SCATTER,
+    RATE,
+    RATE_SCATTER,
+    RestColumn,
+    rest_columns,
+)
 from stillcal.replay.formats.recognition.text_formats import text_format
 from stillcal.replay.formats.sources import Source, source_of
 from stillcal.replay.formats.tables.dates import is_date
@@ -54,25 +61,21 @@ def read_rest_table(found: Path | Source) -> list[RestState]:
 def open_rest_table(found: Path | Source) -> RestTable:
     """Read a rest table, a file or a pipe's bytes.
 
-    Columns: ax ay az, and any of t duration n gx gy gz sax say saz temperature, or other usual names for them
-    with their units (recognition/rest_columns.py). A mean's standard uncertainty is s/sqrt(n). Where the
-    table has no s or no n, only the rounding of the printed numbers is known of it, step/sqrt(12): the same
-    for all rows and a lower bound, so that rows weigh alike and the residuals have to tell the rest. Rows
-    without t are numbered 0, 1, 2, ... in its place. Raises TraceError.
+    Columns: ax ay az, and any of t duration n gx gy gz sax say saz sgx sgy sgz temperature, or other usual
+    names for them with their units (recognition/rest_columns.py). A mean's standard uncertainty is s/sqrt(n).
+    Where the table has no s or no n, only the rounding of the printed numbers is known of it, step/sqrt(12):
+    the same for all rows and a lower bound, so that rows weigh alike and the residuals have to tell the rest.
+    Rows without t are numbered 0, 1, 2, ... in its place. Raises TraceError.
     """
     path = found.path if isinstance(found, Source) else found
     columns, notes = _columns(found)
     force = _stacked(columns, FORCE)
     judge_forces(path, force)
-    force_sd = force_uncertainty = np.full_like(force, max(columns[name].rounding_sd for name in FORCE))
-    if set(SCATTER) <= columns.keys():
-        force_sd = _stacked(columns, SCATTER)
-        if "n" in columns:
-            force_uncertainty = force_sd / np.sqrt(np.maximum(columns["n"].si, 1.0))[:, None]
-    rate, rate_sd = None, np.zeros_like(force)
+    force_sd, force_uncertainty = _uncertainty(columns, FORCE, FORCE_SCATTER)
+    rate, rate_sd, rate_uncertainty = None, np.zeros_like(force), np.zeros_like(force)
     if set(RATE) <= columns.keys():
         rate = _stacked(columns, RATE)
-        rate_sd = np.full_like(rate, max(columns[name].rounding_sd for name in RATE))
+        rate_sd, rate_uncertainty = _uncertainty(columns, RATE, RATE_SCATTER)
         notes += [] if columns[RATE[0]].stated else judge_rates(path, force, rate)
     rests = [
         RestState(
@@ -83,13 +86,26 @@ def open_rest_table(found: Path | Source) -> RestTable:
             level=_along(force[i], force_sd[i]),
             rate=None if rate is None else frozen(rate[i]),
             rate_sd=None if rate is None else frozen(rate_sd[i]),
-            rate_uncertainty=None if rate is None else frozen(rate_sd[i]),
+            rate_uncertainty=None if rate is None else frozen(rate_uncertainty[i]),
             rate_level=None if rate is None else float(rate_sd[i].max()),
             temperature=_temperature(columns, i),
         )
         for i in range(len(force))
     ]
     return RestTable(rests, notes)
+
+
+def _uncertainty(
+    columns: dict[str, _Values], mean: Sequence[str], scatter: Sequence[str]
+) -> tuple[Array, Array]:
+    """Return the standard deviation (n, 3) of a sensor's samples, and the uncertainty (n, 3) of its means."""
+    rounding = np.full((len(columns[mean[0]].si), 3), max(columns[name].rounding_sd for name in mean))
+    if not set(scatter) <= columns.keys():
+        return rounding, rounding
+    sd = _stacked(columns, scatter)
+    if "n" not in columns:
+        return sd, rounding
+    return sd, sd / np.sqrt(np.maximum(columns["n"].si, 1.0))[:, None]
 
 
 def _extent(columns: dict[str, _Values], row: int) -> dict[str, Any]:

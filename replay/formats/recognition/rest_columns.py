@@ -1,14 +1,15 @@
 """Which columns of a rest table hold which quantity, and in which unit, by how people name them.
 
-Its own names `ax ay az`, `gx gy gz`, `sax say saz`, `t duration n temperature` come first. Others are found
-as in a recording (names.py). A unit that a name does not say is SI.
+Its own names `ax ay az`, `gx gy gz`, `sax say saz`, `sgx sgy sgz`, `t duration n temperature` come first.
+Others are found as in a recording (names.py). A unit that a name does not say is SI, or of a standard
+deviation that of the mean.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
@@ -21,10 +22,11 @@ from stillcal.replay.formats.recognition.names import (
     find_thermometer,
 )
 
-FORCE, RATE, SCATTER = ("ax", "ay", "az"), ("gx", "gy", "gz"), ("sax", "say", "saz")
+FORCE, RATE = ("ax", "ay", "az"), ("gx", "gy", "gz")
+FORCE_SCATTER, RATE_SCATTER = ("sax", "say", "saz"), ("sgx", "sgy", "sgz")
 _SI = {Sensor.ACCELEROMETER: "m/s^2", Sensor.GYROSCOPE: "rad/s"}
 _SCATTER_WORD = re.compile(
-    r"(?:^|[_. ]+)(?:sd|std|stdev|stddev|sigma)(?=[_. \[(]|$)|^s(?=a[xyz]\b)", re.IGNORECASE
+    r"(?:^|[_. ]+)(?:sd|std|stdev|stddev|sigma)(?=[_. \[(]|$)|^s(?=[ag][xyz]\b)", re.IGNORECASE
 )
 _DURATION = re.compile(r"^(?:duration|dauer|length)(?=[_. \[(]|$)", re.IGNORECASE)
 _COUNT = re.compile(r"^(?:n|samples|n_samples|count)(?=[ \[(]|$)", re.IGNORECASE)
@@ -48,24 +50,30 @@ def rest_columns(names: Sequence[str], path: Path) -> list[RestColumn]:
     """Return the columns that a rest table is read from. Raises TraceError where a unit is not known."""
     scatter = {_SCATTER_WORD.sub("", name).strip("_. "): name for name in names if _SCATTER_WORD.search(name)}
     means = [name for name in names if name not in scatter.values()]
-    return [
-        *_three(means, Sensor.ACCELEROMETER, FORCE, path),
-        *_three(means, Sensor.GYROSCOPE, RATE, path),
-        *(
-            RestColumn(scatter[one.name], one.quantity, one.factor, 0.0, one.stated)
-            for one in _three(list(scatter), Sensor.ACCELEROMETER, SCATTER, path)
-        ),
-        *_single(means),
-    ]
+    found = []
+    for sensor, own, scattered in (
+        (Sensor.ACCELEROMETER, FORCE, FORCE_SCATTER),
+        (Sensor.GYROSCOPE, RATE, RATE_SCATTER),
+    ):
+        mean = list(_three(means, sensor, own, path, _SI[sensor]))
+        unit = (mean[0].stated if mean else None) or _SI[sensor]
+        found += mean
+        found += [
+            replace(one, name=scatter[one.name], quantity=quantity, offset=0.0)
+            for one, quantity in zip(_three(list(scatter), sensor, own, path, unit), scattered, strict=False)
+        ]
+    return [*found, *_single(means)]
 
 
-def _three(names: Sequence[str], sensor: Sensor, own: Sequence[str], path: Path) -> Iterator[RestColumn]:
-    """Yield the axes of a sensor, in the unit that their names say. Raises TraceError."""
+def _three(
+    names: Sequence[str], sensor: Sensor, own: Sequence[str], path: Path, usual: str
+) -> Iterator[RestColumn]:
+    """Yield the axes of a sensor, in the unit that their names say, else the usual one. Raises TraceError."""
     axes = [a for a in find_axes(names) if a.sensor is sensor]
     if not axes:
         return
-    chosen = next((a for a in axes if a.columns == tuple(FORCE if own is SCATTER else own)), axes[0])
-    unit = chosen.unit or _SI[sensor]
+    chosen = next((a for a in axes if a.columns == tuple(own)), axes[0])
+    unit = chosen.unit or usual
     if unit not in KNOWN_UNITS:
         what = f"the unit {unit!r} of {', '.join(map(str, chosen.columns))} is not known"
         raise TraceError(path, what, f"give {_SI[sensor]}")

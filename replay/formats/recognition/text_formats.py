@@ -38,7 +38,7 @@ SENSOR_LOGGER = ("sensorlogger", "sensorlogger_ios")
 _HHAR_NAMES = ["Arrival_Time", "Creation_Time", "x", "y", "z"]
 _SENSOR_LOGGER_NAMES = {"time", "seconds_elapsed", "x", "y", "z"}
 _RESTS_HAVE = {"ax", "ay", "az", "gx", "gy", "gz", "temperature"}
-_ONLY_RESTS_HAVE = {"duration", "sax", "say", "saz"}
+_ONLY_RESTS_HAVE = {"duration", "sax", "say", "saz", "sgx", "sgy", "sgz"}
 _TURNED = 1.0
 """m/s^2: by so much the means of two rests differ, at the median; samples of one recording differ by less."""
 

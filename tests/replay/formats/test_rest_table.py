@@ -103,6 +103,19 @@ def test_what_is_read_by_its_name_and_what_is_not_read_is_said(tmp_path: Path) -
     assert "ax_std as sax" in by_name and "time [min] as t" in by_name and left.endswith("read: Position")
 
 
+def test_a_scatter_without_a_unit_has_that_of_its_mean(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    names = (
+        "ax [g],ay [g],az [g],gx [deg/s],gy [deg/s],gz [deg/s],ax_std,ay_std,az_std,gx_std,gy_std,gz_std,n"
+    )
+    scatter = np.full((3, 3), 0.02)
+    rows = lines(UP, np.full((3, 3), 0.5), scatter, scatter, np.full(3, 400.0))
+    path.write_text("\n".join([names, *rows]) + "\n")
+    for rest in open_rest_table(path).rests:
+        assert rest.force_uncertainty == pytest.approx([0.001 * G] * 3)
+        assert rest.rate_uncertainty == pytest.approx([np.radians(0.001)] * 3)
+
+
 @pytest.mark.parametrize(
     ("unit", "values", "what"),
     [

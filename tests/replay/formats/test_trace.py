@@ -231,9 +231,9 @@ def test_two_files_that_never_meet_in_time_are_refused(tmp_path: Path) -> None:
 def test_a_rest_table_with_all_columns(tmp_path: Path) -> None:
     path = tmp_path / "rests.csv"
     path.write_text(
-        "n,ax,ay,az,sax,say,saz,t,duration,gx,gy,gz,temperature\n"
-        "100,0.1,0.2,9.8,0.01,0.02,0.03,5.0,1.5,0.001,0.002,0.003,\n"
-        "400,9.7,0.2,0.1,0.01,0.02,0.03,9.0,4.0,0.001,0.002,0.003,25\n"
+        "n,ax,ay,az,sax,say,saz,t,duration,gx,gy,gz,sgx,sgy,sgz,temperature\n"
+        "100,0.1,0.2,9.8,0.01,0.02,0.03,5.0,1.5,0.001,0.002,0.003,0.02,0.04,0.06,\n"
+        "400,9.7,0.2,0.1,0.01,0.02,0.03,9.0,4.0,0.001,0.002,0.003,0.02,0.04,0.06,25\n"
     )
     first, second = read_rest_table(path)
     assert (first.t_start, first.t_end, first.n, first.temperature) == (5.0, 6.5, 100, None)
@@ -241,6 +241,8 @@ def test_a_rest_table_with_all_columns(tmp_path: Path) -> None:
     np.testing.assert_allclose(first.force_uncertainty, [0.001, 0.002, 0.003])
     np.testing.assert_allclose(second.force_uncertainty, [0.0005, 0.001, 0.0015])
     assert first.rate is not None and first.rate.tolist() == [0.001, 0.002, 0.003]
+    assert first.rate_uncertainty is not None
+    np.testing.assert_allclose(first.rate_uncertainty, [0.002, 0.004, 0.006])
 
 
 def test_a_scatter_without_a_count_says_nothing_of_the_means(tmp_path: Path) -> None:
