@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Pa
 from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.diagnosis.words.correction_code import to_paste
+from stillcal.replay.diagnosis.words.moments import with_moments
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import statement
 
@@ -196,7 +197,8 @@ def _finding(
     out |= {"put_right": one.put_right} if one.put_right else {}
     found = one.recorded or one.simulated
     observed, remark = ("", "") if found is None else (found.observed, found.remark)
-    out["statement"] = " ".join(filter(None, (statement(out, names, observed), remark, alike, one.note)))
+    said = " ".join(filter(None, (statement(out, names, observed), remark, alike, one.note)))
+    out["statement"] = with_moments(said)
     out |= {"assumption": one.note} if one.note else {}
     return out | to_paste(out)
 

@@ -317,7 +317,7 @@ def _sensitivity(answer: Mapping[str, Any]) -> Iterator[str]:
     rows = []
     for s in answer["sensitivity"]:
         factor, unit = shown_in(s["smallest_seen_90"], s["unit"], s["parameter"])
-        at = "".join(f" ({k.removesuffix('_s')} {v:.0f} s)" for k, v in s.get("reference", {}).items())
+        at = "".join(f" ({k.removesuffix('_s')} {moment(v)})" for k, v in s.get("reference", {}).items())
         what = capital(noun(s["effect"], s["sensor"]))
         size = f"{plain(s['smallest_seen_90'] * factor)} {unit}"
         size = f"not shown: {s['reason']}" if "reason" in s else size

@@ -12,6 +12,7 @@ from stillcal.calib_core.diagnosis.sequence.codes import codes
 from stillcal.calib_core.diagnosis.sequence.neighbours import REACH, residual
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.report.figures import RecordedAndSimulated, drawing
+from stillcal.replay.diagnosis.words.moments import moment
 from stillcal.replay.diagnosis.words.units import pretty, shown_in
 
 SHOWN = 14
@@ -128,6 +129,6 @@ def jump_figure(sources: RecordedAndSimulated, unit: str, axis: int, at: float) 
         scale, name = shown_in(values, unit)
         axes.plot((seconds + 0.5) * EACH_S, values * scale, ".", color=colour, ms=4, label=label)
         axes.axvline(0.0, color="#999999", lw=1.0, ls=":")
-        axes.set_xlabel(f"time since {at:.0f} s, s")
+        axes.set_xlabel(f"time since {moment(at)}, s")
         axes.set_ylabel(f"mean of a second, {'xyz'[axis]}, {pretty(name)}")
     return out[0]

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 
 from stillcal.replay.formats.clock import unit_since_1970
+
+_SPAN = re.compile(r"\b([Ff])rom (-?\d+) to (-?\d+) s\b")
 
 
 def moment(t: float) -> str:
@@ -20,6 +23,11 @@ def span(start: float, end: float) -> str:
     first, last = _dated(start), _dated(end)
     until = last.strftime(clock if first.date() == last.date() else day)
     return f"from {first.strftime(day)} to {until} UTC"
+
+
+def with_moments(text: str) -> str:
+    """Return sentences in which the spans of stamps, `from 10 to 20 s`, are said as `span` says them."""
+    return _SPAN.sub(lambda m: m[1] + span(float(m[2]), float(m[3]))[1:], text)
 
 
 def _is_dated(t: float) -> bool:

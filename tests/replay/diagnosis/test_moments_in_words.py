@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from stillcal.replay.diagnosis.words.moments import moment, span
+from stillcal.replay.diagnosis.words.moments import moment, span, with_moments
 
 
 @pytest.mark.parametrize(
@@ -25,3 +25,10 @@ def test_a_moment(t: float, said: str) -> None:
 )
 def test_a_span(start: float, end: float, said: str) -> None:
     assert span(start, end) == said
+
+
+def test_spans_within_a_sentence_are_said_alike() -> None:
+    """What was observed of something without a name kept its stamps beside the dates."""
+    said = "From 1760000000 to 1760000600 s the x axis is stuck, nearly all from 5 to 8 s."
+    dated = "From 2025-10-09 08:53:20 to 09:03:20 UTC the x axis is stuck, nearly all from 5 to 8 s."
+    assert with_moments(said) == dated
