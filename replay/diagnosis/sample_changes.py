@@ -161,7 +161,6 @@ def _repeating(one: Discrepancy, seed: int) -> Change | None:
 
     def held(samples: Samples) -> Samples:
         new = np.random.default_rng(seed).random(len(samples)) >= share
-        new[:1] = True
         last = np.maximum.accumulate(np.where(new, np.arange(len(samples)), 0))
         return replace(samples, xyz=frozen(samples.xyz[last]))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -145,6 +147,20 @@ def test_a_delay_is_put_in_with_its_sign() -> None:
         shift = 0.1 if own else -0.1
         np.testing.assert_allclose(done.recording.gyroscope.t, rate.t + shift)
         np.testing.assert_array_equal(done.recording.gyroscope.xyz, rate.xyz)
+        np.testing.assert_array_equal(done.recording.accelerometer.t, made.accelerometer.t)
+
+
+@pytest.mark.parametrize(("recorded", "simulated"), [(0.1, 0.02), (-0.05, 0.02)])
+def test_a_delay_that_both_have_is_put_in_as_far_as_they_differ(recorded: float, simulated: float) -> None:
+    key, part, one = ("accel_gyro_time_offset", "timing"), (Part("delay", "s", 1),), np.ones(1)
+    had = [
+        Quantity(*key, part, x * one, 1e-8 * np.eye(1), one, 0.05 * one, np.array([-1]), where=EVERYWHERE)
+        for x in (recorded, simulated)
+    ]
+    differs = Discrepancy(*key, [], EVERYWHERE, "too_small", 1.0, 50.0, subtract(*had))
+    made, done = turned(5.0), correct(turned(5.0), [differs], {}).recording
+    assert made.gyroscope is not None and done.gyroscope is not None
+    np.testing.assert_allclose(done.gyroscope.t - made.gyroscope.t, recorded - simulated)
 
 
 def low_pass(cutoff: float, order: int) -> Quantity:
@@ -178,7 +194,7 @@ def test_a_low_pass_of_another_order_leaves_no_gain_behind() -> None:
 def hum(t_start: float, t_end: float) -> Discrepancy:
     where = Where(t_start, t_end, (16.9, 17.1), "time")
     parameters = {
-        "frequency": Parameter(17.0, None, "Hz"),
+        "frequency": Parameter(17.3, None, "Hz"),
         "amplitude": Parameter([0.01, 0.0, 0.02], None, "m/s^2"),
     }
     found = Finding("vibration_tone", "accel", ["z"], where, parameters, Evidence(9.0), [], "")
@@ -196,7 +212,7 @@ def test_a_vibration_for_a_while_is_in_the_same_part_of_the_simulation() -> None
 
 
 def test_a_vibration_that_the_simulation_is_too_slow_for_is_left_out() -> None:
-    slow = Samples(Sensor.ACCELEROMETER, np.arange(500) / 5.0, np.zeros((500, 3)))
+    slow = Samples(Sensor.ACCELEROMETER, np.arange(500) / 25.0, np.zeros((500, 3)))
     done = correct(Recording(slow, None, [], Claims(), []), [hum(0.0, 100.0)], {})
     assert done.left_out == ["vibration_tone"]
     assert (done.recording.accelerometer.xyz == 0.0).all()
@@ -279,8 +295,8 @@ def test_a_step_of_one_of_the_two_is_put_in_or_taken_out(of_recording: bool, sig
     np.testing.assert_allclose(away[first:], np.tile(sign * np.array([0.1, -0.2, 0.0]), (500 - first, 1)))
 
 
-def less(effect: str, sensor: str, recorded: float = 0.2, simulated: float = 0.1) -> Discrepancy:
-    """Return that the simulation has less of what comes by chance, a share or a standard deviation."""
+def less(effect: str, sensor: str, recorded: float = 0.6, simulated: float = 0.4) -> Discrepancy:
+    """Return that the simulation has less of what is a number, such as a share, or more of it."""
     where = Where(0.0, 10.0, (0.0, 0.0), "time stamps")
     had = [
         Quantity(
@@ -289,7 +305,62 @@ def less(effect: str, sensor: str, recorded: float = 0.2, simulated: float = 0.1
         )
         for number in (recorded, simulated)
     ]  # fmt: skip
-    return Discrepancy(effect, sensor, [], where, "too_small", 1.0, 50.0, subtract(*had))
+    relation: Relation = "too_small" if simulated < recorded else "too_large"
+    return Discrepancy(effect, sensor, [], where, relation, 1.0, 50.0, subtract(*had))
+
+
+@pytest.mark.parametrize(
+    ("effect", "sensor"),
+    [
+        ("dropped_samples", "timing"),
+        ("accel_held_samples", "accel"),
+        ("timestamp_jitter", "timing"),
+        ("accel_quantisation", "accel"),
+    ],
+)
+def test_what_the_simulation_has_more_of_cannot_be_taken_out(effect: str, sensor: str) -> None:
+    done, before = correct(fine(), [less(effect, sensor, 0.1, 0.2)], {}), fine().accelerometer
+    assert done.left_out == [effect]
+    assert np.array_equal(done.recording.accelerometer.xyz, before.xyz)
+
+
+def test_a_low_pass_that_only_the_simulation_has_cannot_be_taken_out() -> None:
+    none = replace(low_pass(25.0, 2), none=True, reference={})
+    found = subtract(none, low_pass(6.0, 2))
+    one = Discrepancy("bandwidth", "gyro", [], EVERYWHERE, "superfluous", 1.0, 50.0, found)
+    assert correct(turned(2.0), [one], {}).left_out == ["bandwidth"]
+
+
+def test_a_limit_above_the_simulations_leaves_it_as_it_is() -> None:
+    done = correct(turned(2.0), [less("gyro_saturation", "gyro", 1.5, 1.0)], {})
+    assert done.left_out == ["gyro_saturation"]
+
+
+def test_values_behind_a_low_pass_come_in_steps_and_from_the_first_one_on() -> None:
+    """What was filtered is rounded; a filter that begins at nothing would begin with a jump."""
+    slow = subtract(low_pass(6.0, 2), replace(low_pass(25.0, 2), none=True, reference={}))
+    filtered = Discrepancy("bandwidth", "gyro", [], EVERYWHERE, "lacking", 1.0, 50.0, slow)
+    coarse = less("gyro_quantisation", "gyro", 0.01, 0.001)
+    made, (t, xyz) = turned(2.0), (turned(2.0).accelerometer.t, np.tile([1.0, -2.0, 0.5], (3000, 1)))
+    still = replace(made, gyroscope=Samples(Sensor.GYROSCOPE, t, xyz))
+    for one, found in ((made, [coarse, filtered]), (still, [filtered])):
+        done = correct(one, found, {})
+        assert done.left_out == [] and done.recording.gyroscope is not None
+        out = done.recording.gyroscope.xyz
+        if one is still:
+            np.testing.assert_allclose(out, xyz, atol=1e-9)
+        else:
+            np.testing.assert_allclose(out / 0.01, np.rint(out / 0.01), rtol=0.0, atol=1e-6)
+
+
+def test_samples_of_a_long_simulation_are_lost_and_its_seconds_are_not() -> None:
+    seconds = overview_of(fine().accelerometer, None)
+    held = fine()
+    simulation = LongRecording(held.accelerometer, None, [], Claims(), [], overview=seconds)
+    done = correct(simulation, [less("dropped_samples", "timing")], {}).recording
+    assert isinstance(done, LongRecording) and done.overview is not None
+    assert len(done.accelerometer) < 400
+    np.testing.assert_array_equal(done.overview.force.mean, seconds.force.mean)
 
 
 def test_samples_are_lost_until_as_many_are_missing_as_in_the_recording() -> None:
@@ -297,7 +368,7 @@ def test_samples_are_lost_until_as_many_are_missing_as_in_the_recording() -> Non
     done = correct(whole, [less("dropped_samples", "timing")], {})
     assert done.left_out == [] and done.recording.gyroscope is not None
     left = done.recording.accelerometer
-    assert len(left) / len(whole.accelerometer) == pytest.approx(0.8 / 0.9, abs=0.01)
+    assert len(left) / len(whole.accelerometer) == pytest.approx(0.4 / 0.6, abs=0.03)
     rows = np.searchsorted(whole.accelerometer.t, left.t)
     assert (left.xyz == whole.accelerometer.xyz[rows]).all()
     assert np.array_equal(left.t, done.recording.gyroscope.t), "both are read together"
@@ -308,12 +379,16 @@ def test_values_are_held_until_as_many_are_as_in_the_recording() -> None:
     after = done.recording.accelerometer
     held = (np.diff(after.xyz, axis=0) == 0.0).all(axis=1)
     assert done.left_out == [] and np.array_equal(after.t, before.t)
-    assert held.mean() == pytest.approx(1.0 - 0.8 / 0.9, abs=0.04)
+    assert held.mean() == pytest.approx(1.0 - 0.4 / 0.6, abs=0.07)
     assert (after.xyz[1:][~held] == before.xyz[1:][~held]).all()
 
 
 def test_stamps_jitter_as_far_as_the_recordings_and_stay_in_order() -> None:
-    done, before = correct(fine(), [less("timestamp_jitter", "timing", 5e-3, 3e-3)], {}), fine().accelerometer
-    moved = done.recording.accelerometer.t - before.t
-    assert done.left_out == [] and (np.diff(done.recording.accelerometer.t) >= 0.0).all()
-    assert moved.std() == pytest.approx(4e-3, rel=0.1)
+    whole = turned(2.0)
+    done = correct(whole, [less("timestamp_jitter", "timing", 5e-3, 3e-3)], {})
+    stamps = done.recording.accelerometer.t
+    assert done.left_out == [] and done.recording.gyroscope is not None
+    assert (stamps - whole.accelerometer.t).std() == pytest.approx(4e-3, rel=0.1)
+    assert np.array_equal(stamps, done.recording.gyroscope.t), "both are read together"
+    wild = correct(whole, [less("timestamp_jitter", "timing", 0.1, 1e-3)], {}).recording.accelerometer.t
+    assert (np.diff(wild) >= 0.0).all()
