@@ -20,6 +20,9 @@ from stillcal.replay.phone.recursion import decaying
 WANDER_STEP = 0.05
 """Spacing of the wander's time grid, s."""
 
+MOST_NODES = 100_000
+"""Points of this grid that are made at once: 2.4 MB for each process, however far apart the samples are."""
+
 FLICKER_SPACING = 4.0
 """Ratio of neighbouring correlation times in the flicker bank."""
 
@@ -130,6 +133,8 @@ class Wander:
             return np.zeros((t.size, 3))
         place = t / WANDER_STEP
         node = place.astype(np.int64)
+        if node[-1] - self._first > MOST_NODES and t.size > 1:
+            return np.concatenate([self.at(half) for half in np.array_split(t, 2)])
         self._extend(int(node[-1]) + 2)
         share = (place - node)[:, None]
         row = node - self._first

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -87,6 +88,14 @@ def test_wander_does_not_depend_on_how_it_is_asked_for() -> None:
     pieces = Wander(parts, 0.1 * ONE, 4, "x")
     cut = np.concatenate([pieces.at(part) for part in np.split(t, [1, 17, 1000, 1001, 4000])])
     assert np.array_equal(whole, cut)
+
+
+def test_hours_of_few_samples_need_little_memory() -> None:
+    tracemalloc.start()
+    Wander([GaussMarkov(ONE, 600.0), GaussMarkov(ONE, 60.0)], ONE, 4, "x").at(np.arange(0.0, 36_000.0, 60.0))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 20e6
 
 
 def quiet_phone(**noise: object) -> Phone:
