@@ -126,7 +126,8 @@ def _common(xyz: Array, declared: float | None) -> dict[int, Limit]:
 def _limit(values: Array, noise: float, least: float) -> Limit | None:
     """Return the limit of one axis, of values clipped after their noise or before it."""
     step = comb_step(values) or 0.0
-    hard = [] if step > noise else [_hard_stop, _stays]
+    # Values of few levels end on their highest by themselves, evenly spaced or not.
+    hard = [] if step > noise or np.unique(values).size <= LEAST_LEVELS else [_hard_stop, _stays]
     stops = (_on_largest(values, noise, step, of) for of in hard)
     return next((stop for stop in stops if stop), None) or _flat_top(values, noise, least)
 

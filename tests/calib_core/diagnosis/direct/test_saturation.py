@@ -43,6 +43,15 @@ def test_values_of_few_uneven_levels_are_no_limit() -> None:
     assert saturation(samples(rounded), "accel", np.full(3, 0.02), None) is None
 
 
+def test_a_slow_rate_between_two_steps_is_no_limit() -> None:
+    """A gyroscope at rest with steps far above its noise reads one of two values for hours."""
+    rng = np.random.default_rng(5)
+    slow = 0.3 * np.sin(np.arange(20000) / 1500.0)[:, None] + np.array([4.6, 0.7, 10.4])
+    rates = 1e-3 * np.round(slow + 0.03 * rng.standard_normal((20000, 3)))
+    at_rest = Samples.checked(Sensor.GYROSCOPE, np.arange(20000) / 2.0, rates)
+    assert saturation(at_rest, "gyro", np.full(3, 3e-4), None) is None
+
+
 @pytest.mark.parametrize("limit", [8.0, 9.0])
 def test_a_phone_that_rests_at_its_limit_clips_and_is_not_stuck(limit: float) -> None:
     """Below gravity: five of the ends of its axes stop at one value, where it lies most of the time."""
