@@ -78,7 +78,7 @@ class Doubt:
         It is where the reading jumped back, or a day has passed without a jump. believed: the last reading
         that was, as old as it is then.
         """
-        jumped = bool(_jumps(t - self.t, celsius - self.celsius))
+        jumped = bool(jumps(t - self.t, celsius - self.celsius))
         back = jumped and believed.age_s <= FRESH_S and abs(celsius - believed.celsius) <= JUMP_K
         if back or t - self.jumped_at >= STEADY_S:
             return None
@@ -126,7 +126,7 @@ class Thermometer:
 
     def _judged(self, t: Array, celsius: Array) -> Thermometer:
         """Return the thermometer after readings (n,), one for each cell, without those that are doubted."""
-        if self.doubt is None and not _jumps(np.diff(t), np.diff(celsius)).any():
+        if self.doubt is None and not jumps(np.diff(t), np.diff(celsius)).any():
             return Thermometer(frozen(t), frozen(celsius))
         newest = float(self.t[-1]) if self.t.size else -np.inf
         believed = np.flatnonzero(t <= newest).tolist()
@@ -135,7 +135,7 @@ class Thermometer:
             now, read = float(t[k]), float(celsius[k])
             last = believed[-1] if believed else k
             if doubt is None:
-                if _jumps(now - t[last], read - celsius[last]):
+                if jumps(now - t[last], read - celsius[last]):
                     doubt = Doubt(now, now, read)
             elif now // CELL_S > doubt.t // CELL_S:
                 doubt = doubt.after(now, read, Reading(float(celsius[last]), now - float(t[last])))
@@ -194,11 +194,6 @@ class Thermometer:
         return frozen(celsius[:, None] + behind[own] * np.exp(-past) - rise * answered)
 
 
-def _jumps(gap_s: Array | float, rise_k: Array | float) -> NDArray[np.bool_]:
-    """Tell whether readings differ by more than those of a phone can. gap_s: (n,) s. rise_k: (n,) K."""
-    return np.asarray((np.abs(rise_k) > JUMP_K + JUMP_K_PER_S * np.abs(gap_s)) & (np.abs(gap_s) <= NEAR_S))
-
-
 def _first_of_cells(t: Array, celsius: Array) -> NDArray[np.intp]:
     """Return the places of known readings (n,) that may be the first of their cells.
 
@@ -210,6 +205,11 @@ def _first_of_cells(t: Array, celsius: Array) -> NDArray[np.intp]:
         return known
     cells = np.floor(own / CELL_S)
     return known[np.flatnonzero(np.diff(cells, prepend=-np.inf) > 0)]
+
+
+def jumps(gap_s: Array | float, rise_k: Array | float) -> NDArray[np.bool_]:
+    """Tell whether readings differ by more than those of a phone can. gap_s: (n,) s. rise_k: (n,) K."""
+    return np.asarray((np.abs(rise_k) > JUMP_K + JUMP_K_PER_S * np.abs(gap_s)) & (np.abs(gap_s) <= NEAR_S))
 
 
 def felt(celsius: Array, lagged: Array | None, lag_s: float, lags_s: tuple[float, ...] = LAGS_S) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.temperature.thermometer import JUMP_K, jumps
 
 Flags = NDArray[np.bool_]
 
@@ -39,6 +40,10 @@ NOISY = 0.05
 
 Beyond, noise of an eighth of a step and more dithers the steps, and means of readings need no help.
 """
+
+SLIP_S = 30.0
+"""Longest time, s, that a slip of a thermometer takes; readings that jump and jump back later were set, in a
+chamber."""
 
 OFTEN = 10
 """Readings at equal times, at least, that show a thermometer that is read seldom."""
@@ -75,8 +80,13 @@ def reconstructed(t: Array, readings: Array) -> Array:
     as quickly as in the next one, but no farther than the middle of the level: all of the level is possible,
     and the middle is never off by more than half of it. So it does before the first and after the last
     change. Readings that are repeated until the next one belong to the moment of the first of them; between
-    those it is linear in time. Other readings, and those that noise dithers, are returned as they are.
+    those it is linear in time. So it is across slips, readings that jump, faster than anything warms, and
+    jump back. Other readings, and those that noise dithers, are returned as they are.
     """
+    slipped = _slipped(t, readings)
+    if slipped.any():
+        kept = ~slipped
+        return np.interp(t, t[kept], reconstructed(t[kept], readings[kept]))
     step = _step(readings)
     if step is None:
         return _between_held(t, readings)
@@ -87,6 +97,22 @@ def reconstructed(t: Array, readings: Array) -> Array:
     found = np.interp(t, times, values)
     wrong = np.abs(found - readings) > (0.5 + ALIKE) * step
     return readings if float(wrong.mean()) > NOISY else np.asarray(found)
+
+
+def _slipped(t: Array, readings: Array) -> Flags:
+    """Return which readings (n,) come between a jump and one back, within SLIP_S."""
+    out = np.zeros(t.size, dtype=np.bool_)
+    before = np.flatnonzero(jumps(np.diff(t), np.diff(readings)))
+    for k, first in enumerate(before):
+        if out[first]:
+            continue
+        for last in before[k + 1 :]:
+            if t[last + 1] - t[first] > SLIP_S:
+                break
+            if abs(readings[last + 1] - readings[first]) <= JUMP_K:
+                out[first + 1 : last + 1] = True
+                break
+    return out
 
 
 def _between_held(t: Array, readings: Array) -> Array:

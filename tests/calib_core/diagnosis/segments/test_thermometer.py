@@ -160,3 +160,16 @@ def test_readings_at_one_moment_are_left_alone() -> None:
     """Rows of a table of rests may share a time."""
     readings = 20.0 + np.arange(24.0) % 5
     assert reconstructed(np.zeros(24), readings) is readings
+
+
+@pytest.mark.parametrize("shown", [85.0, 0.0])
+def test_slips_of_a_thermometer_are_passed_over(shown: float) -> None:
+    """Two seconds in ten minutes without a reading moved the temperature of a bin by kelvins."""
+    slipping = np.where(T % 600.0 < 2.0, shown, swinging())
+    slipping[T < 10.0] = swinging()[T < 10.0]
+    assert np.abs(reconstructed(T, slipping) - swinging()).max() < 0.02
+
+
+def test_a_temperature_that_was_set_and_set_back_is_left_alone() -> None:
+    set_to = np.where(T % 600.0 < 300.0, 20.0, 35.0)
+    assert np.array_equal(reconstructed(T, set_to), set_to)
