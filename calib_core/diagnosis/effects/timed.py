@@ -117,6 +117,10 @@ class Step(BiasEffect):
         return np.asarray(np.clip((end - grid["t_start"]) / length, 0.0, 1.0))
 
     def _at(self, moments: Moments, i: int, part: float) -> Grid:
-        """Return a step after a part of bin i; before it, midway in the pause, for a part of zero."""
-        within = float(moments.t[i] + (part - 0.5) * moments.duration[i])
-        return {"t_start": moments.border(i) if part == 0.0 else within}
+        """Return a step after a part of the time from the end of bin i - 1 to that of bin i.
+
+        In a pause between the two it is midway: a pause has as many points as it lasts, all of them alike.
+        """
+        start, end = moments.t - moments.duration / 2.0, moments.t + moments.duration / 2.0
+        within = float(end[i - 1] + part * (end[i] - end[i - 1]))
+        return {"t_start": moments.border(i) if within <= start[i] else within}

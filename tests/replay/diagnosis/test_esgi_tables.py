@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -147,6 +148,16 @@ def test_no_free_curve_goes_through_all_of_a_few_rests(rows: int, most: int) -> 
     free = [h.sizes.size for h in found if h.effect.name == "unknown"]
     assert 0 < max(free) <= most
     assert {"accel_bias_temperature", "accel_nonlinearity"} <= {h.effect.name for h in found}
+
+
+@pytest.mark.parametrize("lasts", [1.0, 240.0])
+def test_a_step_is_tried_evenly_in_time_and_midway_in_a_pause(lasts: float) -> None:
+    """A row of a second had a part of it by chance: it was not put right, or what was found had no name."""
+    moments = by_sensor(rest_bins([rest(240.0 * i, 20.0) for i in range(24)]), 9.80665)[0].moments
+    moments = replace(moments, duration=np.full(24, lasts))
+    made = np.array([grid["t_start"] for grid in Step("accel").finer(moments, {"t_start": 2760.0})])
+    away = np.abs(np.subtract.outer(made, moments.t[:-1] + 120.0)).min(axis=1)
+    np.testing.assert_allclose(away if lasts == 1.0 else np.diff(made) - 10.0, 0.0, atol=1e-9)
 
 
 def warmed(celsius: Array) -> Bins:
