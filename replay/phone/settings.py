@@ -86,7 +86,7 @@ class SensorSettings(Settings, frozen=True, kw_only=True):
     held_fraction: float = 0.0
 
     def __post_init__(self) -> None:
-        require(1.0 <= self.rate_hz <= 4000.0, "rate_hz", self.rate_hz, "from 1 to 4000 Hz")
+        require(0.1 <= self.rate_hz <= 40_000.0, "rate_hz", self.rate_hz, "from 0.1 to 40,000 Hz")
         require(self.lsb >= 0.0, "lsb", self.lsb, "0 or more")
         for field in ("range", "element_range"):
             limit = getattr(self, field)

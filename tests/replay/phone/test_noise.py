@@ -98,6 +98,12 @@ def test_hours_of_few_samples_need_little_memory() -> None:
     assert most < 20e6
 
 
+@pytest.mark.parametrize("rate_hz", [1.0 / 1.02, 0.999995, 8000.3])
+def test_every_rate_of_a_recording_can_be_simulated(rate_hz: float) -> None:
+    """Loggers that step by 1 s of a slow clock, and chips whose buffers are logged at their full rate."""
+    assert SensorSettings(rate_hz=rate_hz).rate_hz == rate_hz
+
+
 def quiet_phone(**noise: object) -> Phone:
     return Phone(accel=SensorSettings(noise=Noise(**noise)), gyro=None)
 
