@@ -11,7 +11,7 @@ that the norm leaves unknown go with the turns, as errors that their covariance 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,10 @@ GYRO_SCALE_SIZE = 0.2
 
 GYRO_PRIOR = 1.0 / np.where(np.eye(3) > 0.0, SCALE_SIZE, MISALIGNMENT_SIZE).ravel()
 """One over the prior standard deviations of its scale and misalignment in this fit, row by row."""
+
+FACTORS = np.exp(np.arange(-3.0, 3.01, 0.1))
+FAR, SOME = 0.25, 20
+"""rad of a turn, beyond which a common factor of the rates is looked for; turns that it is taken from."""
 
 TRUSTED = 3.0
 """Scatters beyond which a turn's weight falls."""
@@ -217,8 +221,10 @@ def aligned(
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
     steady = rest_courses(bins.force, bins.rest)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    x, mapping, errors = baseline.parameters, np.eye(3), None
+    x, mapping, errors, factor = baseline.parameters, np.eye(3), None, 1.0
     if len(found) >= LEAST_TURNS:
+        factor = _nominal(found, steady, x)
+        found = [replace(c, rate=factor * c.rate) for c in found]
         for _ in range(ROUNDS):
             step, error = _step(_carried(found, steady, x, mapping), norms, x, mapping)
             x, mapping = x + step, mapping - error @ mapping
@@ -232,7 +238,24 @@ def aligned(
     design, _ = norms.rows(x)
     unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
     bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
-    return Aligned(turns, baseline, bias, mapping, unsure, errors)
+    return Aligned(turns, baseline, bias, factor * mapping, unsure, errors)
+
+
+def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
+    """Return the factor of the rates about which their scale is fitted: 1 but where most turns miss by far.
+
+    Rates of another range or unit are several times too large, and the fit is linear in small errors.
+    """
+    some = found[:: -(-len(found) // SOME)]
+
+    def miss(factor: float) -> float:
+        turns = _carried(some, steady, x, factor * np.eye(3))
+        return float(np.median([np.linalg.norm(t.miss) for t in turns]))
+
+    if miss(1.0) <= FAR:
+        return 1.0
+    best = min(FACTORS.tolist(), key=miss)
+    return best if miss(best) <= FAR else 1.0
 
 
 def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[Turn]:

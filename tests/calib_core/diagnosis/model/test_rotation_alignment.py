@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
@@ -60,6 +61,16 @@ def test_few_attitudes_and_turns_tell_gravity_and_the_gyroscope() -> None:
     frame = rotation.as_matrix()
     assert np.abs(made.mapping @ GYRO @ frame.T - frame.T).max() < 3e-3
     assert max(float(np.linalg.norm(t.miss)) for t in made.turns) < 5e-3
+
+
+@pytest.mark.parametrize("factor", [0.25, 8.0])
+def test_rates_of_another_range_have_their_scale(factor: float) -> None:
+    """A fit about the rates as read went nowhere: a scale of 2 was 1.4 with a tenth of every angle left."""
+    accelerometer, gyroscope, _ = day()
+    wrong = Samples.checked(Sensor.GYROSCOPE, gyroscope.t, factor * gyroscope.xyz)
+    made = aligned(wrong, cut(accelerometer, wrong), G)
+    usual = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+    np.testing.assert_allclose(factor * made.mapping, usual.mapping, atol=2e-3)
 
 
 def test_a_turn_that_reaches_the_limit_is_left_out_whatever_is_known_of_its_rate() -> None:
