@@ -137,7 +137,7 @@ def test_a_large_slope_over_temperature_is_the_point_of_a_second_search() -> Non
     np.testing.assert_allclose(found["parameters"]["slope"]["value"], slope, atol=1e-5)
 
 
-@pytest.mark.parametrize(("rows", "most"), [(24, 7), (46, 18)])
+@pytest.mark.parametrize(("rows", "most"), [(24, 7), (34, 12), (40, 15), (46, 18)])
 def test_no_free_curve_goes_through_all_of_a_few_rests(rows: int, most: int) -> None:
     """Of temperature one had 18 numbers for 24 rests, and went before a slope or step that was there."""
     up = np.random.default_rng(7).normal(size=(rows, 3))
@@ -148,6 +148,7 @@ def test_no_free_curve_goes_through_all_of_a_few_rests(rows: int, most: int) -> 
     free = [h.sizes.size for h in found if h.effect.name == "unknown"]
     assert 0 < max(free) <= most
     assert {"accel_bias_temperature", "accel_nonlinearity"} <= {h.effect.name for h in found}
+    assert max(h.sizes.size for h in found if h.effect.name != "unknown") == 9, "names have their curves"
 
 
 @pytest.mark.parametrize("lasts", [1.0, 240.0])
