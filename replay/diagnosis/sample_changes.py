@@ -1,6 +1,7 @@
 """Differences that change a simulation's samples instead of adding to them.
 
-What was read is stamped later, filtered, clipped, rounded, repeated, lost or stamped roughly, in this order.
+What was read is stamped later, filtered, clipped, rounded, lost, repeated or stamped roughly, in this order:
+the share that repeats the one before is measured of the samples that are there.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ MORE = SHOWS_MORE[0]
 def changes(discrepancies: Sequence[Discrepancy], seed: int) -> list[tuple[Discrepancy, Change]]:
     """Return the differences that change samples, in order, and what does so. seed: of what is drawn."""
     makers: list[Callable[[Discrepancy], Change | None]] = [_moving, _clipping, _rounding]
-    makers += [partial(make, seed=seed) for make in (_repeating, _losing, _jittering)]
+    makers += [partial(make, seed=seed) for make in (_losing, _repeating, _jittering)]
     made = ((one, make(one)) for make in makers for one in discrepancies)
     return [(one, change) for one, change in made if change is not None]
 

@@ -383,6 +383,17 @@ def test_values_are_held_until_as_many_are_as_in_the_recording() -> None:
     assert (after.xyz[1:][~held] == before.xyz[1:][~held]).all()
 
 
+def test_as_many_of_the_samples_that_are_left_are_held() -> None:
+    """Where some were repeated first and lost then, too few repeated the one before."""
+    lost_and_held = [less("held_samples", "accel"), less("dropped_samples", "timing")]
+    white = Samples(
+        Sensor.ACCELEROMETER, np.arange(9000) / 50.0, np.random.default_rng(5).normal(size=(9000, 3))
+    )
+    done = correct(Recording(white, None, [], Claims(), []), lost_and_held, {}).recording.accelerometer
+    assert len(done) / 9000 == pytest.approx(0.4 / 0.6, abs=0.03)
+    assert (np.diff(done.xyz, axis=0) == 0.0).all(axis=1).mean() == pytest.approx(1.0 - 0.4 / 0.6, abs=0.02)
+
+
 def test_stamps_jitter_as_far_as_the_recordings_and_stay_in_order() -> None:
     whole = turned(2.0)
     done = correct(whole, [less("timestamp_jitter", "timing", 5e-3, 3e-3)], {})
