@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.looked_for import direct_checks
 from stillcal.calib_core.diagnosis.comparison.noise import low_passes, why_not_measured
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
@@ -70,12 +71,20 @@ def test_what_repeated_values_do_to_the_spectrum_is_no_noise_and_no_low_pass(
     recorded: float, simulated: float
 ) -> None:
     """A fifth repeated made 1.22 times the noise and a low-pass of 0.36 times the rate besides."""
-    said = compare_samples((held(recorded, 1), held(simulated, 2)), ("rec", "sim"))
+    seeds = (1, 2) if recorded else (2, 1)
+    said = compare_samples((held(recorded, seeds[0]), held(simulated, seeds[1])), ("rec", "sim"))
     alike = recorded == simulated
     assert [d.effect for d in said.discrepancies] == ([] if alike else ["held_samples"])
     whys = {n.effect: n.reason for n in said.not_compared}
-    assert ("noise_level" in whys) == (not alike)
-    assert alike or "repeat the one before" in whys["noise_level"]
+    for effect in ("noise_level", "bandwidth"):
+        assert (effect in whys) == (not alike)
+        assert alike or "repeat the one before" in whys[effect]
+
+
+def test_the_noise_of_repeated_values_is_not_said_to_be_looked_at() -> None:
+    whys = {c.effect: c.reason for c in direct_checks(held(0.2, 1)) if c.sensor == "accel"}
+    for effect in ("noise_heavy_tailed", "bandwidth", "noise_unequal_axes"):
+        assert "repeat the one before" in (whys[effect] or "")
 
 
 def test_a_rate_too_low_to_show_a_cutoff_says_nothing_of_it() -> None:

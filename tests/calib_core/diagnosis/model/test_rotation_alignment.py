@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
-from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned, cuts
+from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_courses
+from stillcal.calib_core.diagnosis.model.rotation_alignment import _nominal, aligned, cuts
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -71,6 +71,16 @@ def test_rates_of_another_range_have_their_scale(factor: float) -> None:
     made = aligned(wrong, cut(accelerometer, wrong), G)
     usual = aligned(gyroscope, cut(accelerometer, gyroscope), G)
     np.testing.assert_allclose(factor * made.mapping, usual.mapping, atol=2e-3)
+
+
+@pytest.mark.parametrize("change", [np.diag([1.05, 0.95, 1.1]), np.eye(3)[[1, 0, 2]]])
+def test_what_is_no_other_range_is_fitted_about_the_rates_as_read(change: Array) -> None:
+    """Scales of a part, and axes in another order, which no factor makes fit."""
+    accelerometer, gyroscope, _ = day()
+    other = Samples.checked(Sensor.GYROSCOPE, gyroscope.t, gyroscope.xyz @ change)
+    bins = cut(accelerometer, other)
+    parameters = fit_baseline(bins.force, bins.force_variance, bins.rest, G).parameters
+    assert _nominal(cuts(other, bins), rest_courses(bins.force, bins.rest), parameters) == 1.0
 
 
 def test_a_turn_that_reaches_the_limit_is_left_out_whatever_is_known_of_its_rate() -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.covariate import covariate_effects
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.effects.timed import Step
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, about_point, searched
@@ -94,11 +96,13 @@ def test_a_step_is_taken_off_at_the_moment_at_which_it_stands_beside_the_slope()
 
 def test_only_what_is_sought_is_searched_for() -> None:
     """What a simulation was made with: nothing else is weighed against it, nor named in its place."""
-    made = by_sensor(warming(4.0), nulls.G)[0]
+    made, gyro = by_sensor(warming(4.0), nulls.G)
     warm = made.hypothesis(BiasTemperature("accel"), {})
     (own,) = slow_statements(made, sought=[warm, made.hypothesis(Step("gyro"), {"t_start": AT})])
     assert own.finding.effect == "accel_bias_temperature"
-    assert slow_statements(made, sought=[made.hypothesis(Step("gyro"), {"t_start": AT})]) == []
+    of_turns, of_a_column = effects_of("gyro", in_turns=True)[0], covariate_effects("accel", "volt", 1.0)[0]
+    for residuals, effect in ((made, Step("gyro")), (made, of_a_column), (gyro, of_turns)):
+        assert slow_statements(residuals, sought=[Hypothesis(effect, {"t_start": AT}, ())]) == []
 
 
 def test_what_is_sought_is_found_though_neither_of_two_stands_out_alone() -> None:
