@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
+from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, slow_checks
 from stillcal.calib_core.diagnosis.comparison.noise import density
-from stillcal.calib_core.diagnosis.comparison.quantity import Relation, posterior
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.records import (
     LEVEL,
     Common,
@@ -23,11 +26,15 @@ from stillcal.calib_core.diagnosis.comparison.records import (
 from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.comparison.stated import is_sure, undecided_finding
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED, claimed, convention
 
 DOES_NOT = "the recording does not"
+
+FAR_OFF = 0.2
+"""Part by which a gyroscope's scale is off where it is another range's: datasheets allow 3 to 5 %."""
 
 
 def compare_with_ideal(exam: Examination, *, samples: bool = True) -> Comparison:
@@ -96,7 +103,7 @@ def _common(exam: Examination, found: set[str]) -> list[Common]:
             within = f"within what {of} real devices show; {what} as much"
             beyond = f"more than any of {of} real devices shows, and not by so much that it is a fault"
             out.append(Common(quantity, within if more else beyond))
-    return out + _two_sided(exam, found)
+    return out + _two_sided(exam, found) + _other_range(exam)
 
 
 def _two_sided(exam: Examination, found: set[str]) -> list[Common]:
@@ -107,6 +114,22 @@ def _two_sided(exam: Examination, found: set[str]) -> list[Common]:
     note = "the maker's densities are read as those of a two-sided spectrum: times √2 they are one-sided"
     claimed_ones = [s for s in exam.streams if claimed(s.sensor, exam.claims) is not None]
     return [Common(level, note) for s in claimed_ones if (level := density(s)) is not None]
+
+
+def _other_range(exam: Examination) -> list[Common]:
+    """Return the gyroscope's scale where no sensor's own is so far off: an ideal sensor may have any."""
+    scale = None if exam.exchanged else linear_quantities(exam, [], {}).get(("gyro_scale", "gyro"))
+    if scale is None:
+        return []
+    own = [0, 4, 8]
+    value, covariance = scale.value[own], scale.covariance[np.ix_(own, own)]
+    if (np.abs(value) - NORMAL_95 * scale.sigma[own]).max() < FAR_OFF:
+        return []
+    diagonal = replace(
+        scale, parts=(Part("scale", "1", 3),), value=value, covariance=covariance,
+        size=scale.size[own], tolerance=scale.tolerance[own], axis_of=np.arange(3),
+    )  # fmt: skip
+    return [Common(diagonal, "no sensor is so far off: are its rates of another range or unit?")]
 
 
 def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]) -> list[tuple[str, float]]:

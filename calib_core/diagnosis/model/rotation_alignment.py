@@ -54,7 +54,7 @@ GYRO_PRIOR = 1.0 / np.where(np.eye(3) > 0.0, SCALE_SIZE, MISALIGNMENT_SIZE).rave
 """One over the prior standard deviations of its scale and misalignment in this fit, row by row."""
 
 FACTORS = np.exp(np.arange(-3.0, 3.01, 0.1))
-FAR, SOME = 0.25, 20
+FAR, SOME = 0.25, 10
 """rad of a turn, beyond which a common factor of the rates is looked for; turns that it is taken from."""
 
 TRUSTED = 3.0

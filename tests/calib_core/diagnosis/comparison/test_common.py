@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis.turned_pairs import turned
 
 
 def still(lost: float) -> Samples:
@@ -42,6 +44,19 @@ def test_what_most_devices_show_is_not_worth_telling() -> None:
     samples = Samples(Sensor.ACCELEROMETER, frozen(np.arange(12000) / 100.0), frozen(twice))
     said = compare_with_ideal(examine(samples, None, sought=()))
     assert {"dropped_samples", "held_samples"}.isdisjoint(c.quantity.effect for c in said.common)
+
+
+@pytest.mark.parametrize(("factor", "told"), [(1.0, False), (2.0, True)])
+def test_a_gyroscope_of_another_range_is_said(factor: float, told: bool) -> None:
+    """The ideal sensor has any scale, and nothing was said of one twice too large."""
+    made = turned(1)
+    assert made.gyroscope is not None
+    rates = Samples(Sensor.GYROSCOPE, made.gyroscope.t, frozen(factor * made.gyroscope.xyz))
+    said = compare_with_ideal(examine(made.accelerometer, rates, sought=()))
+    notes = [c for c in said.common if c.quantity.effect == "gyro_scale"]
+    assert len(notes) == int(told)
+    for one in notes:
+        np.testing.assert_allclose(one.quantity.value, -0.5, atol=0.02)
 
 
 def test_claims_that_are_read_as_two_sided_are_said() -> None:
