@@ -101,6 +101,15 @@ def told(record: CalibrationRecord, day: Samples) -> Array:
     return bias_terms(record, GYRO, day.temperature, None, Thermometer().course(day.t, day.temperature))
 
 
+def test_samples_are_not_corrected_by_a_thermometer_that_jumped() -> None:
+    record, _, bias = learnt_day(0.0, 1)
+    celsius = np.round(warmth(1), 1)
+    day = Samples(GYRO, frozen(T), frozen(bias), frozen(celsius + np.where(T > 60000.0, 12.0, 0.0)))
+    at_reference = correct(record, replace(day, temperature=None)).xyz
+    followed = np.abs(correct(record, day).xyz - at_reference).max(axis=1)
+    assert followed[T < 60000.0].max() > 0.0 and (followed[T > 61000.0] == 0.0).all()
+
+
 def test_without_readings_between_rests_no_lag_is_claimed_and_the_uncertainty_says_so() -> None:
     silent, _, _ = learnt_day(300.0, 3, readings=False)
     assert silent.forecast[GYRO].lag_s == 0.0

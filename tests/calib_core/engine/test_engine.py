@@ -238,6 +238,8 @@ def test_rests_after_a_jump_of_the_thermometer_have_no_temperature_and_it_is_sai
     assert known[rests.t < 55.0].all() and not known[rests.t > 95.0].any()
     sound = Day(Poses(count=14, rest_s=(6.0, 8.0))).lived()
     assert not sound.logged("thermometer") and np.isfinite(sound.engine.state.memory.celsius).all()
+    back = Day(Poses(count=14, rest_s=(6.0, 8.0))).warmer_after(60.0, 12.0).warmer_after(100.0, -12.0).lived()
+    assert [log.why.split(" is ")[-1] for log in back.logged("thermometer")][1:] == ["followed again"]
 
 
 def test_on_time_stays_within_burst_and_fraction() -> None:

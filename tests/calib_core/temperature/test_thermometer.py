@@ -85,6 +85,11 @@ def test_readings_that_jump_are_not_believed() -> None:
     assert thermometer.latest(5400.0) is None
 
 
+def test_after_a_pause_a_phone_may_be_warmer() -> None:
+    thermometer = heard(np.array([0.0, 30.0, 150.0, 180.0]), np.array([20.0, 20.0, 32.0, 32.0]))
+    assert thermometer.doubt is None and thermometer.t.tolist() == [0.0, 30.0, 150.0, 180.0]
+
+
 def test_a_slip_of_the_thermometer_is_forgotten_when_it_is_over() -> None:
     slip = heard(T, np.where((T >= 3000.0) & (T < 3300.0), 45.0, 20.0))
     assert slip.doubt is None and (slip.celsius == 20.0).all()
