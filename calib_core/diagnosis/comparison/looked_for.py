@@ -24,12 +24,13 @@ from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
-from stillcal.calib_core.diagnosis.motion.time_offset import LEAST_WINDOWS
+from stillcal.calib_core.diagnosis.motion.time_offset import DELIVERED, LEAST_WINDOWS
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
 from stillcal.calib_core.diagnosis.noise.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.noise.steady_segments import Places, stretches
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched
 from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream
 
@@ -292,6 +293,8 @@ def of_motion(exam: Examination) -> Iterator[Check]:
         why = "no gyroscope"
     elif len(exam.gyroscope) < LEAST_SAMPLES:
         why = f"{len(exam.gyroscope)} samples of the gyroscope, {LEAST_SAMPLES} are needed"
+    elif bunched(exam.accelerometer.t) or bunched(exam.gyroscope.t):
+        why = DELIVERED
     else:
         limited = exam.on_limits
         have = len(turning_windows(exam.gyroscope, exam.aligned, limited))

@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.motion.delay_fit import Fit, drawn, fitted, s
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
 from stillcal.calib_core.diagnosis.motion.turning_windows import LONGEST, WINDOW, Motion, Span
-from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples
 
@@ -27,6 +27,10 @@ SLOW = 0.05
 """Part of the sample rate that a figure is made of."""
 
 LEAST_ERROR = 2e-4
+
+DELIVERED = "the stamps come in bursts: they say when samples were delivered, not when they were measured"
+"""Why nothing is looked for: in a burst a turn seems faster than it was, by more than a delay or an arm."""
+
 ARM = np.array([True, True, True, False])
 """The columns of an arm; the fourth is the delay's."""
 
@@ -65,6 +69,8 @@ def shown_in_motion(
     """
     if len(gyroscope) < 200:
         return Shown([])
+    if bunched(accelerometer.t) or bunched(gyroscope.t):
+        return Shown([], why_none=DELIVERED)
     motion = Motion.of(accelerometer, gyroscope, affine, gravity, spoiled)
     if len(motion.windows) < LEAST_WINDOWS:
         return Shown([])

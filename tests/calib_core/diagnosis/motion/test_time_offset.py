@@ -84,6 +84,17 @@ def test_hands_alone_are_no_finding(seed: int) -> None:
     assert diagnosed(seed) == []
 
 
+@pytest.mark.parametrize("seed", range(2))
+def test_stamps_of_bursts_time_no_motion(seed: int) -> None:
+    """Four samples at a time are stamped when they are delivered."""
+    accelerometer, gyroscope = played(seed)
+    delivered = np.repeat(accelerometer.t[3::4], 4) + np.tile(0.0023 * np.arange(4), len(accelerometer) // 4)
+    streams = [replace(s, t=frozen(delivered)) for s in (accelerometer, gyroscope)]
+    affine = aligned(streams[1], cut(*streams), G)
+    shown = shown_in_motion(*streams, affine, G, sound_phones()["time_offset"])
+    assert shown.findings == [] and "bursts" in shown.why_none
+
+
 @pytest.mark.parametrize("delay", [0.03, -0.08])
 def test_turns_after_the_accelerometer_ended_are_left_out(delay: float) -> None:
     (found,) = diagnosed(11, delay=delay, stop=400.0)
