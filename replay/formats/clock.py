@@ -219,8 +219,8 @@ def _shown_unit(stamps: Array) -> float | None:
 
     It is the only power of 1000 that puts the median step between 0.5 ms and 0.5 s, as in logs whose unit
     differs between devices (Stisen et al. 2015). Times since 1970 have the unit that their size shows, and
-    step by 1 s at most; numbers of days are a spreadsheet's. Steps of exactly one show no unit:
-    they may be s, ms or numbers of samples.
+    step by 1 s at most; numbers of days are a spreadsheet's. Steps of about one, or a half, show no unit:
+    they may be s of a slow log, ms of a fast one, or numbers of samples.
     """
     step = np.abs(np.diff(stamps))
     step = step[step > 0]
@@ -233,5 +233,5 @@ def _shown_unit(stamps: Array) -> float | None:
         s for s in (unit_since_1970(first), days) if s and FASTEST_STEP_S <= typical * s <= SLOWEST_STEP_S
     ]
     in_range = [s for s in units if FASTEST_STEP_S <= typical * s < 1000 * FASTEST_STEP_S]
-    fits = dated or ([] if (step == 1.0).all() else in_range)
+    fits = dated or ([] if 1000 * FASTEST_STEP_S <= typical <= SLOWEST_STEP_S else in_range)
     return fits[0] if fits else None

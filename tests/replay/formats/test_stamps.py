@@ -56,6 +56,8 @@ def test_the_unit_of_times(tmp_path: Path, name: str, stamps: list[str], step: f
     ("stamps", "said"),
     [
         (texts(SECONDS * 100, ".0f"), r"steps of 1, which shows no unit of time; say the unit in its name"),
+        (texts(SECONDS * 50, ".6f"), r"steps of 0\.5, which shows no unit"),  # 2 Hz, or 2 kHz in ms
+        (texts(SECONDS * 100 + RNG.uniform(0, 0.1, N), ".6f"), "which shows no unit"),  # 1 Hz, or 1 kHz in ms
         (texts(SECONDS / 80), r"steps of 0\.000125, which shows no unit"),
         ([f"2024-03-01 10:00:{int(s):02d}" for s in SECONDS], "of the stamps in column 'time' repeat"),
     ],
