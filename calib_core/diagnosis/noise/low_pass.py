@@ -267,15 +267,20 @@ def low_pass_finding(
 def _left_out(spectrum: Spectra, found: LowPass) -> HeldOut:
     """Predict spectra of rests by the filter and by flat noise.
 
-    Each of the others' level (Whittle's likelihood).
+    Each of the others' level (Whittle's likelihood). Rests in which coarse values hold still on an axis have
+    no spectrum.
     """
     power = spectrum.power[:, spectrum.band]
+    alive = (power > 0.0).all(axis=(1, 2))
+    if alive.sum() < LEAST_PIECES:
+        return HeldOut(0.0, 0.0, 0.0)
+    power, averages = power[alive], spectrum.averages[alive]
     shape = found.shape[spectrum.band][None, :, None]
     fold, gain = blocks(len(power)), 0.0
     before, after = [], []
     for k in np.unique(fold):
         train, test = power[fold != k], power[fold == k]
-        weight = spectrum.averages[fold == k][:, None, None] / SHARED
+        weight = averages[fold == k][:, None, None] / SHARED
         flat = np.broadcast_to(train.mean(axis=(0, 1), keepdims=True), (1, *power.shape[1:]))
         bent = (train / shape).mean(axis=(0, 1), keepdims=True) * shape
         gain += float((weight * (np.log(flat / bent) + test / flat - test / bent)).sum())

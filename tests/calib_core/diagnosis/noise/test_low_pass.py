@@ -7,7 +7,9 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
-from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
+from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, bandwidth, judged
 from stillcal.calib_core.diagnosis.stream import _noise_of
 
 RATE = 100.0
@@ -31,6 +33,18 @@ def test_an_exponential_average_is_a_low_pass(cutoff: float) -> None:
     found = judged(quiet(averaged(cutoff)))
     assert found is not None and found.low_pass is not None and found.low_pass.order == 1
     assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
+
+
+@pytest.mark.parametrize(("still", "stated"), [(slice(0, 4), True), (slice(0, 18), False)])
+def test_rests_in_which_coarse_values_hold_still_have_no_spectrum(still: slice, stated: bool) -> None:
+    pieces = averaged(5.0)
+    spectrum = judged(quiet(pieces))
+    assert spectrum is not None
+    spectrum.power[still, :, 0] = 0.0
+    found = bandwidth(
+        spectrum, "gyro", sound_phones()["bandwidth"], Where(0.0, 200.0, (0.0, 50.0), "frequency")
+    )
+    assert (found is not None) == stated
 
 
 def test_white_noise_has_none() -> None:
