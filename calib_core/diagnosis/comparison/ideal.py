@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
-from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear import ALIKE_SCALE
 from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, slow_checks
 from stillcal.calib_core.diagnosis.comparison.noise import density
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Relation, posterior
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.records import (
     LEVEL,
     Common,
@@ -28,6 +28,7 @@ from stillcal.calib_core.diagnosis.comparison.stated import is_sure, undecided_f
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where, only_unknown
+from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones, usual
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED, claimed, convention
 
@@ -119,18 +120,24 @@ def _two_sided(exam: Examination, found: set[str]) -> list[Common]:
 
 def _other_range(exam: Examination) -> list[Common]:
     """Return the gyroscope's scale where no sensor's own is so far off: an ideal sensor may have any."""
-    scale = None if exam.exchanged else linear_quantities(exam, [], {}).get(("gyro_scale", "gyro"))
-    if scale is None:
+    affine = exam.aligned
+    if exam.exchanged or affine is None or affine.errors is None:
         return []
-    own = [0, 4, 8]
-    value, covariance = scale.value[own], scale.covariance[np.ix_(own, own)]
-    if (np.abs(value) - NORMAL_95 * scale.sigma[own]).max() < FAR_OFF:
+    factor, own = affine.mapping.diagonal(), [9, 13, 17]
+    errors = factor[:, None] * affine.errors[own]
+    scale = Quantity(
+        "gyro_scale",
+        "gyro",
+        (Part("scale", "1", 3),),
+        value=factor - 1.0,
+        covariance=errors @ errors.T,
+        size=np.full(3, GYRO_SCALE_SIZE),
+        tolerance=np.full(3, ALIKE_SCALE),
+        axis_of=np.arange(3),
+    )
+    if (np.abs(scale.value) - NORMAL_95 * scale.sigma).max() < FAR_OFF:
         return []
-    diagonal = replace(
-        scale, parts=(Part("scale", "1", 3),), value=value, covariance=covariance,
-        size=scale.size[own], tolerance=scale.tolerance[own], axis_of=np.arange(3),
-    )  # fmt: skip
-    return [Common(diagonal, "no data sheet allows so much: are its rates of another range or unit?")]
+    return [Common(scale, "no data sheet allows so much: are its rates of another range or unit?")]
 
 
 def _not_stated(found: Sequence[Sought], stated: Sequence[tuple[Finding, float]]) -> list[tuple[str, float]]:
