@@ -25,7 +25,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 import click
 import numpy as np
 from timing import Row
-from truth_phones import MG, RATE_HZ, live
+from truth_phones import MG, RATE_HZ, Life, live
 from truth_rivals import DAY_S, DailyFit, OffsetTable, Vqf
 
 from stillcal.calib_core.arrays import Array
@@ -224,6 +224,13 @@ def force_error(scale: Array, bias: Array, forward: Array, true_bias: Array) -> 
     return float(np.linalg.norm(told - _FORCE @ rotation.T, axis=1).mean() / MG)
 
 
+def error_of(told: Answer, life: Life, true_bias: Array) -> float:
+    """Return an answer's error: mg, as `force_error` has it, or deg/s."""
+    if told.sensor is ACCEL:
+        return force_error(told.scale, told.bias, life.forward(told.sensor), true_bias)
+    return float(np.degrees(np.linalg.norm(told.scale @ (true_bias - told.bias))))
+
+
 @dataclass(frozen=True, slots=True)
 class Conditions:
     """How lives are lived."""
@@ -274,10 +281,7 @@ def _live_it(number: int, conditions: Conditions) -> Lived:
         outside = max(min(met) - celsius, celsius - max(met), 0.0) if met else np.nan
         for a in contest.answers(t, celsius if thermometer else None) if contest.calibrated else ():
             truth = life.bias_at(a.sensor, t)
-            if a.sensor is ACCEL:
-                error = force_error(a.scale, a.bias, life.forward(a.sensor), truth)
-            else:
-                error = float(np.degrees(np.linalg.norm(a.scale @ (truth - a.bias))))
+            error = error_of(a, life, truth)
             at = (number, t, celsius, outside, a.age_s)
             rows.append((*at, a.who, str(a.sensor), error, truth - a.bias, a.stated))
     lines = [f"phone {number} ({', '.join(life.kinds)}): {_line(n, e)}" for n, e in contest.engines.items()]

@@ -15,12 +15,11 @@ from functools import partial
 from typing import Any
 
 from truth import (
-    ACCEL,
     DAY_S,
     EVERY_S,
     SEED,
     Warmth,
-    force_error,
+    error_of,
     read_every_minute,
     told_by,
     without_thermometer,
@@ -86,12 +85,8 @@ def lived(of: tuple[int, str], seed: int, days: float, since_s: float) -> list[t
             for told in told_by(kind, record, sensor, t, Warmth.of(engine, t, celsius)):
                 true, step = life.bias_at(sensor, t), engine.present.suspected.get(sensor)
                 stated = np.hypot(told.stated, 0.0 if step is None else step.uncertainty)
-                if sensor is ACCEL:
-                    error = force_error(told.scale, told.bias, life.forward(sensor), true)
-                else:
-                    error = float(np.degrees(np.linalg.norm(told.scale @ (true - told.bias))))
                 holds = float((np.abs(true - told.bias) <= 1.96 * stated).mean())
-                rows.append((str(sensor), error, holds))
+                rows.append((str(sensor), error_of(told, life, true), holds))
     return rows
 
 

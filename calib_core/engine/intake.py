@@ -94,8 +94,8 @@ class Intake:
         if now.doubt is not None and before is None:
             why = (
                 f"the thermometer jumped to {now.doubt.celsius:.1f} degC, faster than a phone warms or cools"
+                ": it is not followed until it has jumped back or a day has passed without a jump"
             )
-            why += ": it is not followed until it has jumped back or a day has passed without a jump"
             self._actions.append(Log(now.doubt.jumped_at, Level.WARNING, "thermometer", why))
         elif now.doubt is None and before is not None:
             self._actions.append(
