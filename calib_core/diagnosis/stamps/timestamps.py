@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.stamps.phase import periods_between
 from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 from stillcal.calib_core.maths.robust import bulk
 
@@ -34,14 +35,14 @@ LONGEST_GAP = 50
 SHARP = 0.08
 """Scatter, in periods, up to which intervals tell by rounding how many periods they hold."""
 
-SPAN = 8
-"""Stamps on either side whose mean shows a shift of the grid by a gap, where stamps scatter much."""
-
 LOCAL = 0.75
 """Periods by which an interval of neighbours may be off."""
 
 WANDERING = -0.25
 """Correlation of neighbouring intervals half way between independent stamps (-1/2) and intervals (0)."""
+
+INDEPENDENT, ACCUMULATING = 6.0, 2.0
+"""Variance of second differences over that of one jitter: of stamps, and of intervals that add up."""
 
 PEAK = 1.5
 """Times as many intervals at two periods than between one and two, for the former to be gaps."""
@@ -99,11 +100,10 @@ class Grid:
         near = np.abs(steps - period) < LOCAL * period
         rough = np.diff(steps)[near[1:] & near[:-1]]
         sharp = rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
-        factor = _factor(steps, near)
-        if sharp:
-            multiples = np.where(near, 1.0, np.rint(steps / period))
-        else:
-            multiples = _placed(t, period) if factor > 2.0 else _peaked(steps / period)
+        multiples = np.where(near, 1.0, np.rint(steps / period)) if sharp else periods_between(t, period)
+        factor = _factor(steps, near & (multiples == 1.0))
+        if not sharp and factor == ACCUMULATING:
+            multiples = _peaked(steps / period)
         even = (multiples == 1.0) & (steps < 2.0 * period)
         second = np.diff(steps)[even[1:] & even[:-1]]
         return cls(t, period, multiples, resolution(t), second, factor)
@@ -162,33 +162,15 @@ class Grid:
 def _factor(steps: Array, even: NDArray[np.bool_]) -> float:
     """Return the variance of second differences over that of one jitter.
 
-    Six where each stamp is off by itself (intervals anticorrelate by one half); two where intervals scatter.
+    It is `INDEPENDENT` where each stamp is off by itself: intervals then anticorrelate by one half.
     """
     own = steps - np.median(steps[even]) if even.any() else steps
     both = even[1:] & even[:-1]
     power = float((own[1:][both] ** 2).mean()) if both.any() else 0.0
     if power <= 0.0:
-        return 6.0
-    return 2.0 if float((own[1:][both] * own[:-1][both]).mean()) / power > WANDERING else 6.0
-
-
-def _placed(t: Array, period: float) -> Array:
-    """Return the periods (n - 1,) between stamps that scatter much.
-
-    A gap shifts all that follow, jitter does not.
-    """
-    level = t - period * np.arange(t.size)
-    padded = np.pad(level, SPAN, mode="edge")
-    total = np.concatenate([[0.0], np.cumsum(padded)])
-    mean = (total[SPAN:] - total[:-SPAN]) / SPAN
-    shift = mean[SPAN + 1 : SPAN + t.size] - mean[1 : t.size]
-    steps = np.rint(shift / period)
-    size = np.abs(shift)
-    top = np.ones(size.size, dtype=bool)
-    for k in range(1, SPAN):
-        top[k:] &= size[k:] >= size[:-k]
-        top[:-k] &= size[:-k] > size[k:]
-    return np.asarray(1.0 + np.where(top & (steps >= 1.0) & (np.diff(t) > 0.8 * period), steps, 0.0))
+        return INDEPENDENT
+    together = float((own[1:][both] * own[:-1][both]).mean()) / power
+    return ACCUMULATING if together > WANDERING else INDEPENDENT
 
 
 def _peaked(ratio: Array) -> Array:

@@ -8,6 +8,7 @@ import pytest
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -76,3 +77,34 @@ def test_batches_whose_stamps_were_spread_by_arrival_have_lost_nothing() -> None
     assert Grid.of(t, 0.01).missing().value < 1e-3
     kept = np.delete(t, np.sort(rng.choice(np.arange(1, t.size - 1), 60, replace=False)))
     assert Grid.of(kept, 0.01).missing().value == pytest.approx(60 / t.size, rel=0.1)
+
+
+@pytest.mark.parametrize("scatter", [0.1, 0.15, 0.25])
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.2, 0.4])
+def test_losses_are_counted_beside_jitter(scatter: float, share: float) -> None:
+    """Each stamp is off by itself, by a part of the period, and single samples are missing at random."""
+    rng = np.random.default_rng(11)
+    t = np.arange(N // 2) / RATE
+    kept = rng.random(t.size) >= share
+    stamps = np.sort(t + scatter / RATE * rng.standard_normal(t.size))[kept]
+    grid = Grid.of(stamps, sample_period(stamps))
+    assert grid.missing().value == pytest.approx((~kept).mean(), abs=5e-4)
+    jitter = grid.jitter()
+    assert jitter is not None and jitter.value * RATE == pytest.approx(scatter, rel=0.05)
+
+
+@pytest.mark.parametrize("scatter", [0.1, 0.25, 0.5])
+def test_jitter_alone_loses_nothing(scatter: float) -> None:
+    """The clock also wanders by a period every five minutes, which is no loss."""
+    rng = np.random.default_rng(12)
+    t = np.arange(N) / RATE
+    wander = np.sin(2.0 * np.pi * t / 300.0) / RATE
+    stamps = np.sort(t + wander + scatter / RATE * rng.standard_normal(t.size))
+    assert Grid.of(stamps, sample_period(stamps)).missing().value < 2e-4
+
+
+def test_intervals_that_scatter_by_themselves_have_no_grid() -> None:
+    """A loop that sleeps between samples: intervals scatter by a quarter, and nothing is missing."""
+    rng = np.random.default_rng(13)
+    stamps = np.cumsum(1.0 + 0.25 * rng.standard_normal(N // 2).clip(-3.0, 3.0)) / RATE
+    assert Grid.of(stamps, sample_period(stamps)).missing().value == 0.0
