@@ -39,7 +39,7 @@ def periods_between(t: Array, usual: float) -> Array:
         return one_each
     turns = (t - t[0]) / period
     lag = turns - _phase(turns, int(window)) - np.arange(t.size)
-    return one_each + np.diff(np.rint(isotonic_regression(lag).x))
+    return np.asarray(one_each + np.diff(np.rint(isotonic_regression(lag).x)))
 
 
 def _period(t: Array, usual: float) -> tuple[float, float]:
