@@ -108,19 +108,20 @@ def measured_directly(exam: Examination) -> dict[Key, tuple[Measured, Quantity]]
     return out
 
 
-def jitter_and_bursts(samples: Samples) -> tuple[float, float]:
-    """Return the standard deviation of stamps, s, and the share of samples that arrive in bursts.
+def stamps_as_compared(samples: Samples) -> tuple[float, float, float]:
+    """Return the scatter of stamps, s, and the shares of samples that arrive in bursts and that are missing.
 
-    As they are compared; 0 where stamps and arrivals show none.
+    0 where stamps and arrivals show none, and where stamps come in bursts.
     """
     measured, out = quantities.of_stamps(samples), []
     for effect, floor, unit, least in (
         ("timestamp_jitter", LEAST_JITTER, sample_period(samples.t), LEAST_SIGMA),
         ("arrival_bursts", LEAST_BURSTS, 1.0, LEAST_SHARE),
+        ("dropped_samples", LEAST_DROPPED, 1.0, LEAST_SHARE),
     ):
         value = _linear(measured[effect], floor, unit).value if effect in measured else 0.0
         out.append(value if value > least else 0.0)
-    return out[0], out[1]
+    return out[0], out[1], out[2]
 
 
 LEAST_SHARE, LEAST_SIGMA = 1e-4, 1e-6

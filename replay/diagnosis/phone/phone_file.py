@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.direct import jitter_and_bursts
+from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
 from stillcal.calib_core.diagnosis.model.earth import ground, shared_rate
 from stillcal.calib_core.diagnosis.noise.low_pass import quiet
@@ -18,7 +18,6 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.calib_core.noise.covariance import NoiseModel, fit_noise
-from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions
@@ -40,9 +39,6 @@ LEAST_BINS = 8
 
 MOST_BINS = 48
 """Slow noise is fitted to at most this many bins; with more, neighbours in a rest are merged."""
-
-MOST_MISSING = 0.5
-"""With a larger share of samples missing, the intervals are uneven and no samples are lost."""
 
 TAUS = (240.0,)
 """Correlation times of the Gauss-Markov part that are tried, s."""
@@ -82,54 +78,18 @@ def phone_of(
 def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
     """Return the stamps' clock, with their scatter, losses and bursts unless effects have these."""
     names = {e.name for e in effects}
-    stamps = stamps_measured(recording.accelerometer)
-    jitter, bursts = jitter_and_bursts(recording.accelerometer)
+    jitter, bursts, missing = stamps_as_compared(recording.accelerometer)
     return ClockSettings(
         shared=_same_stamps(recording.accelerometer, recording.gyroscope),
         jitter_s=0.0 if "timestamp_jitter" in names else float(f"{jitter:.4g}"),
-        drop_fraction=0.0 if "dropped_samples" in names else float(f"{stamps.missing:.3g}"),
+        drop_fraction=0.0 if "dropped_samples" in names else float(f"{missing:.3g}"),
         burst_fraction=0.0 if "arrival_bursts" in names else float(f"{bursts:.3g}"),
     )
 
 
-PIECES = 40
-"""Spans of time of equally many intervals, whose median is robust against a few disturbed ones."""
-
-WHOLE = 0.25
-"""Part of a period by which a gap may be off a whole number of them."""
-
-LONGEST_GAP = 50
-"""Periods beyond which the recording was paused, and nothing is missing."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stamps:
-    """How a recording is stamped.
-
-    rate: Hz, of samples taken, the missing ones among them; missing: part of the samples.
-    """
-
-    rate: float
-    missing: float
-
-
-def stamps_measured(samples: Samples) -> Stamps:
-    """Measure the stamps: how many there are in a second, and how they lie about the median interval.
-
-    Stamps in bursts lie close together with gaps between: most samples would be missing, and none is.
-    """
-    steps, period = np.diff(samples.t), 1.0 / median_rate_hz(samples)
-    parts = np.array_split(steps, PIECES)
-    lost = [np.rint(p / period) - 1.0 for p in parts]
-    # Only gaps of whole periods are samples that are missing; a pause in one place is no loss everywhere.
-    whole = [
-        (np.abs(p / period - n - 1.0) < WHOLE) & (n < LONGEST_GAP) for p, n in zip(parts, lost, strict=True)
-    ]
-    share = float(
-        np.median([np.maximum(n, 0.0)[w].sum() / max(n.size, 1) for n, w in zip(lost, whole, strict=True)])
-    )
-    missing = share / (1.0 + share) if share / (1.0 + share) <= MOST_MISSING else 0.0
-    return Stamps(float(np.exp(counted_rate(samples).value[0])), missing)
+def sample_rate(samples: Samples) -> float:
+    """Return the rate, Hz, at which samples were taken, those that are missing among them."""
+    return float(np.exp(counted_rate(samples).value[0]))
 
 
 def _claims(recording: Recording) -> Claims:
@@ -174,7 +134,7 @@ def _sensor(
     limit: float | None,
     claimed: float | None,
 ) -> SensorSettings:
-    rate = stamps_measured(samples).rate
+    rate = sample_rate(samples)
     steps = [s for s in (comb_step(samples.xyz[:, a]) for a in range(3)) if s is not None]
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise below a coarse step cannot be measured: only the maker's claim is left.

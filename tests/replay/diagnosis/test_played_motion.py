@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
-from stillcal.calib_core.diagnosis.comparison.direct import jitter_and_bursts
+from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
@@ -79,8 +79,20 @@ def test_a_phone_has_the_jitter_that_is_compared() -> None:
     conditions = conditions_of(bins)
     affine = fit_affine(bins, [], conditions, STANDARD)
     made = phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD)
-    assert made.clock.jitter_s == pytest.approx(jitter_and_bursts(samples)[0], rel=1e-3)
+    assert made.clock.jitter_s == pytest.approx(stamps_as_compared(samples)[0], rel=1e-3)
     assert 0.5e-4 < made.clock.jitter_s < 2e-4, "9e-4 / sqrt(50)"
+
+
+def test_a_simulated_clock_loses_as_few_samples_as_the_recorded_one() -> None:
+    """Nine in 20,000: most parts of the recording lose none, and the whole is compared."""
+    t = np.delete(np.arange(20_000) / 50.0, np.arange(1_000, 19_000, 2_000))
+    samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(np.tile([0.0, 0.0, STANDARD], (t.size, 1))))
+    bins = still_bins(samples, None)
+    conditions = conditions_of(bins)
+    affine = fit_affine(bins, [], conditions, STANDARD)
+    recording = Recording(samples, None, [], Claims(), [])
+    made = phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD)
+    assert made.clock.drop_fraction == pytest.approx(9 / 20_000, rel=0.01)
 
 
 def test_a_simulated_walk_sets_out_from_where_the_recorded_one_did() -> None:

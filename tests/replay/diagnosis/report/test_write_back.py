@@ -12,7 +12,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import compare
-from stillcal.calib_core.diagnosis.comparison.direct import jitter_and_bursts
+from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
@@ -21,7 +21,7 @@ from stillcal.replay.diagnosis.given_simulation import answered
 from stillcal.replay.diagnosis.judged import examined, named
 from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
-from stillcal.replay.diagnosis.phone.phone_file import phone_text, stamps_measured
+from stillcal.replay.diagnosis.phone.phone_file import phone_text, sample_rate
 from stillcal.replay.diagnosis.phone.phone_simulation import judge_phone
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import load_phone
@@ -152,9 +152,10 @@ def test_the_clock_of_the_written_phone_scatters_loses_and_stalls_as_the_recordi
         phone_with().clock, jitter_s=3e-4, drop_fraction=0.005, burst_fraction=0.02
     )
     real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
-    stamps = stamps_measured(real.accelerometer)
-    (scatter, bursts), missing = jitter_and_bursts(real.accelerometer), stamps.missing
-    assert stamps.rate == pytest.approx(25.0, rel=1e-4), "the samples that are missing count once"
+    scatter, bursts, missing = stamps_as_compared(real.accelerometer)
+    assert sample_rate(real.accelerometer) == pytest.approx(25.0, rel=1e-4), (
+        "the samples that are missing count once"
+    )
     assert scatter == pytest.approx(3e-4, rel=0.05)
     assert missing == pytest.approx(0.005, rel=0.3)
     assert bursts == pytest.approx(0.02, rel=0.3)
