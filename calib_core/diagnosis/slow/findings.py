@@ -192,8 +192,9 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
 
     What is nothing once the others are free to move with it was their model's fault, and is left out. So is
     what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
-    the others; names are then weighed anew. A name whose sizes are not told is taken off. A course that
-    may be a turn of the support, or of the rounding of rates, is left out as well.
+    the others; names are then weighed anew. Where they speak for it and not for its name, the others' sizes
+    need it: only its name is taken off. So it is where its sizes are not told. A course that may be a turn of
+    the support, or of the rounding of rates, is left out as well.
     """
     while kept := adequate(steps):
         if not _stands_alone(kept[-1].winner):
@@ -216,7 +217,7 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
             continue
         unsized = [step for step, e in zip(kept, estimates, strict=True) if _unsized(e)]
         if unsized:
-            steps = [without_name(s) if s.winner.fit is unsized[-1].winner.fit else s for s in steps]
+            steps = _unnamed(steps, unsized[-1])
             continue
         to_and_fro = _to_and_fro(estimates)
         if to_and_fro:
@@ -233,10 +234,10 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
                 return each_driver_once(
                     [Stated(f, e.hypothesis, residuals) for f, e in zip(made, estimates, strict=True)]
                 )
-            steps = [without_name(s) if s.winner.fit is doubtful.winner.fit else s for s in steps]
+            steps = _unnamed(steps, doubtful)
             continue
-        weak = [step for step, gain in zip(kept, gains, strict=True) if gain <= 0.0]
-        steps = _without(steps, weak[-1])
+        last = max(k for k, gain in enumerate(gains) if gain <= 0.0)
+        steps = _unsupported(steps, kept[last], made[last] if len(kept) > 1 else None)
     return []
 
 
@@ -367,6 +368,21 @@ def _stands_alone(found: Scored) -> bool:
 def _passed_over(step: Step) -> list[Step]:
     """Return what a name was preferred to for the sake of a second one that did not last."""
     return [Step(s, ()) for s in step.others[:1] if s.score >= thresholds.SCORE]
+
+
+def _unsupported(steps: Sequence[Step], weak: Step, among_others: Finding | None) -> list[Step]:
+    """Return the steps without one, or without its name where only that is not borne out.
+
+    among_others: the finding that it makes beside others; None where there are none.
+    """
+    if among_others is not None and _supported(replace(among_others, effect="unknown")) > 0.0:
+        return _unnamed(steps, weak)
+    return _without(steps, weak)
+
+
+def _unnamed(steps: Sequence[Step], one: Step) -> list[Step]:
+    """Return the steps with the name of one taken off."""
+    return [without_name(s) if s.winner.fit is one.winner.fit else s for s in steps]
 
 
 def _without(steps: Sequence[Step], weak: Step) -> list[Step]:

@@ -330,15 +330,44 @@ def prefer_pair(residuals: SensorResiduals, step: Step, before: Sequence[Hypothe
         return step
     named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
     best, chosen = _as_likely_beforehand(step.winner) - thresholds.UNKNOWN_MARGIN, step
-    for first in named:
-        others = [s.hypothesis.effect for s in named if s is not first]
-        effects = [e for e in others if not _spent(e, first.hypothesis.effect)]
-        ranked = ranking(residuals, effects, [*before, first.hypothesis])
-        together = first.score + ranked[0].score - float(np.log10(len(effects))) if ranked else -np.inf
+    for one in named:
+        effects = [
+            s.hypothesis.effect for s in named if not _spent(s.hypothesis.effect, one.hypothesis.effect)
+        ]
+        first, together = _with_second(residuals, one, effects, before)
         if together > best:
             best = together
-            chosen = Step(first, (step.winner, *(s for s in step.others if s is not first)))
+            chosen = Step(first, (step.winner, *(s for s in step.others if s is not one)))
     return chosen
+
+
+def _with_second(
+    residuals: SensorResiduals, one: Scored, effects: Sequence[Effect], before: Sequence[Hypothesis]
+) -> tuple[Scored, float]:
+    """Return one of two effects that explain the most together, and their score: minus infinity if alone.
+
+    The best point of either effect alone is not its best point beside the other, least of all of two steps:
+    either is sought again beside the other, as long as both together gain by it.
+    """
+    ranked = ranking(residuals, effects, [*before, one.hypothesis])
+    first, best = one, one.score + ranked[0].score if ranked else -np.inf
+    while ranked:
+        second = _alone(residuals, ranked[0], before)
+        ranked = ranking(residuals, [first.hypothesis.effect], [*before, second.hypothesis])
+        if not ranked or second.score + ranked[0].score <= best:
+            break
+        first, best = second, second.score + ranked[0].score
+    return first, best - float(np.log10(max(len(effects), 1)))
+
+
+def _alone(residuals: SensorResiduals, one: Scored, before: Sequence[Hypothesis]) -> Scored:
+    """Return a hypothesis as it scores without the one beside which it was found."""
+    own = one.hypothesis
+    reduced = reduce_residuals(residuals, [own], before)
+    fit = fit_hypothesis(reduced, 0)
+    gain = fit.log_likelihood - null_log_likelihood(reduced)
+    trials = 2 * (own.multiplicity or len(residuals.hypotheses(own.effect)))
+    return Scored(own, fit, score(gain, visible(reduced, 0), degrees(reduced, 0), trials), gain)
 
 
 def prefer_named(residuals: SensorResiduals, step: Step, before: Sequence[Hypothesis]) -> Step:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from types import SimpleNamespace
 
@@ -10,17 +10,18 @@ import msgspec
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis.effects.by_force import distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat
 from stillcal.calib_core.diagnosis.inference.likelihood import null_log_likelihood, posterior_weights
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow import findings
+from stillcal.calib_core.diagnosis.slow import findings, search
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import (
     Stated,
@@ -261,6 +262,44 @@ def test_a_second_step_that_may_undo_the_first_takes_the_name_of_both() -> None:
     up = of(2e-3, 0.0, 0.0)
     assert _to_and_fro([up, of(-2e-3, 1e-4, 0.0)]) == "gyro_bias_step"
     assert _to_and_fro([up, of(-2e-3, 1e-3, 0.0)]) == "" == _to_and_fro([up])
+
+
+def two_steps(seed: int) -> tuple[SensorResiduals, list[Array]]:
+    """Return the accelerometer's residuals of 40 minutes with two steps of 50 mm/s^2, and these."""
+    rng, day = day_of(seed, seconds=SECONDS)
+    sizes = [0.05 * v / np.linalg.norm(v) for v in np.random.default_rng(seed).normal(size=(2, 3))]
+    error = np.outer(day.t > 0.3 * SECONDS, sizes[0]) + np.outer(day.t > 0.7 * SECONDS, sizes[1])
+    return by_sensor(nulls.bins_of(rng, day, "white", accel_error=error), nulls.G)[0], sizes
+
+
+def sizes_in_time(found: Sequence[Finding]) -> Array:
+    """Return the sizes (n, 3) of steps in the order of their moments."""
+    ordered = sorted(found, key=lambda f: f.where.t_start)
+    return np.array([f.parameters["step"].value for f in ordered])
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_two_steps_are_found_though_a_curve_without_a_name_explains_more_than_either(seed: int) -> None:
+    """Either is sought again beside the other: the best moment of one alone is between the two."""
+    residuals, sizes = two_steps(seed)
+    found = slow_findings(residuals)
+    assert [f.effect for f in found] == ["accel_bias_step"] * 2
+    assert sizes_in_time(found) == pytest.approx(np.array(sizes), abs=2e-3)
+
+
+def test_a_second_effect_that_folds_call_otherwise_stays_without_its_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Left out, it would spoil the size of the first: only its name is not told."""
+    residuals, sizes = two_steps(2)
+
+    def chosen(_: object, own: tuple[search.Scored, object], rivals: object) -> int:
+        return findings.FOLDS if own[0].hypothesis.grid["t_start"] > 0.5 * SECONDS else 1
+
+    monkeypatch.setattr(findings, "_first_in", chosen)
+    found = slow_findings(residuals)
+    assert sorted(f.effect for f in found) == ["accel_bias_step", "unknown"]
+    assert sizes_in_time(found) == pytest.approx(np.array(sizes), abs=2e-3)
 
 
 @pytest.mark.parametrize("stands", ["named", "unknown"])
