@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 LAGS_S = (60.0, 120.0, 240.0, 480.0)
 """Lags that are tried, s: a chip's and a phone's warm-up take 2 to 20 min."""
@@ -35,6 +36,12 @@ JUMP_K, JUMP_K_PER_S = 4.0, 0.05
 minute that is 5.5 K; a phone that falls into cold water cools by some 5 K a minute."""
 
 NEAR_S = 90.0
+
+SCATTERS = 3.0
+"""Standard deviations of neighbouring readings' differences that a jump is larger, for chips scatter."""
+
+FEWEST, UNKNOWN_K = 10, 1.0
+"""Readings within SPAN_S that tell how much they scatter, and the scatter, K, that fewer are allowed."""
 
 STEADY_S = 86400.0
 """A thermometer that jumped is believed again when it has gone on for so long without another jump."""
@@ -66,23 +73,34 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """That a thermometer's readings jumped. jumped_at: s. t, celsius: s, degC, of its newest reading."""
+    """That a thermometer's readings jumped. jumped_at: s. t, celsius: s, degC, of its newest reading.
+
+    scatter_k: K, standard deviation of what neighbouring readings differed by. steady_s: s without a jump
+    after which it is over.
+    """
 
     jumped_at: float
     t: float
     celsius: float
+    scatter_k: float = 0.0
+    steady_s: float = STEADY_S
 
-    def after(self, t: float, celsius: float, believed: Reading) -> Doubt | None:
+    def after(self, t: float, celsius: float, believed: Reading | None) -> Doubt | None:
         """Return the doubt after a further reading, None where it is over.
 
-        It is where the reading jumped back, or a day has passed without a jump. believed: the last reading
-        that was, as old as it is then.
+        It is where the reading is back at the last one that was believed, by a jump or while nobody looked,
+        or has been without a jump for long enough. believed: that one, as old as it is then; None without.
         """
-        jumped = bool(jumps(t - self.t, celsius - self.celsius))
-        back = jumped and believed.age_s <= FRESH_S and abs(celsius - believed.celsius) <= JUMP_K
-        if back or t - self.jumped_at >= STEADY_S:
+        jumped = bool(jumps(t - self.t, celsius - self.celsius, self.scatter_k))
+        back = (
+            (jumped or t - self.t > NEAR_S)
+            and believed is not None
+            and believed.age_s <= FRESH_S
+            and abs(celsius - believed.celsius) <= JUMP_K + SCATTERS * self.scatter_k
+        )
+        if back or t - self.jumped_at >= self.steady_s:
             return None
-        return Doubt(t if jumped else self.jumped_at, t, celsius)
+        return replace(self, jumped_at=t if jumped else self.jumped_at, t=t, celsius=celsius)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +108,9 @@ class Thermometer:
     """Readings that are believed, oldest first, at most one for each cell. t: (n,) s. celsius: (n,) degC.
 
     doubt: that its readings jumped, None while they are believed. Doubted readings are not kept. They are
-    believed again when they have jumped back, within FRESH_S, to the last one that was, or have gone on for
-    STEADY_S without another jump.
+    believed again when they are back, within FRESH_S, at the last one that was, or have gone on for STEADY_S
+    without another jump. Of a first reading and those that jump from it nobody knows which are right: it is
+    not kept either, and they are believed after FRESH_S.
     """
 
     t: Array = field(default_factory=lambda: frozen(np.empty(0)))
@@ -133,12 +152,15 @@ class Thermometer:
         doubt = self.doubt
         for k in range(len(believed), len(t)):
             now, read = float(t[k]), float(celsius[k])
-            last = believed[-1] if believed else k
             if doubt is None:
-                if jumps(now - t[last], read - celsius[last]):
-                    doubt = Doubt(now, now, read)
+                doubt = _doubted(t, celsius, believed, k)
+                if doubt is not None and doubt.steady_s < STEADY_S:
+                    believed.pop()
             elif now // CELL_S > doubt.t // CELL_S:
-                doubt = doubt.after(now, read, Reading(float(celsius[last]), now - float(t[last])))
+                last = believed[-1] if believed else None
+                doubt = doubt.after(
+                    now, read, None if last is None else Reading(float(celsius[last]), now - float(t[last]))
+                )
             if doubt is None:
                 believed.append(k)
         return Thermometer(frozen(t[believed]), frozen(celsius[believed]), doubt)
@@ -207,9 +229,27 @@ def _first_of_cells(t: Array, celsius: Array) -> NDArray[np.intp]:
     return known[np.flatnonzero(np.diff(cells, prepend=-np.inf) > 0)]
 
 
-def jumps(gap_s: Array | float, rise_k: Array | float) -> NDArray[np.bool_]:
-    """Tell whether readings differ by more than those of a phone can. gap_s: (n,) s. rise_k: (n,) K."""
-    return np.asarray((np.abs(rise_k) > JUMP_K + JUMP_K_PER_S * np.abs(gap_s)) & (np.abs(gap_s) <= NEAR_S))
+def _doubted(t: Array, celsius: Array, believed: list[int], k: int) -> Doubt | None:
+    """Return the doubt that begins with reading k of (n,); None where it goes on from those believed."""
+    now, read = float(t[k]), float(celsius[k])
+    if not believed or not jumps(now - t[believed[-1]], read - celsius[believed[-1]]):
+        return None
+    recent = [i for i in believed[-int(SPAN_S / CELL_S) :] if t[i] >= now - SPAN_S]
+    apart = np.abs(np.diff(celsius[recent]))
+    scatter = MAD_TO_SD * float(np.median(apart)) if len(recent) >= FEWEST else UNKNOWN_K
+    if not jumps(now - t[believed[-1]], read - celsius[believed[-1]], scatter):
+        return None
+    first = len(believed) == 1 or t[believed[-1]] - t[believed[-2]] > NEAR_S
+    return Doubt(now, now, read, scatter, FRESH_S if first else STEADY_S)
+
+
+def jumps(gap_s: Array | float, rise_k: Array | float, scatter_k: float = 0.0) -> NDArray[np.bool_]:
+    """Tell whether readings differ by more than those of a phone can. gap_s: (n,) s. rise_k: (n,) K.
+
+    scatter_k: K, standard deviation of what neighbouring readings differ by.
+    """
+    most = JUMP_K + JUMP_K_PER_S * np.abs(gap_s) + SCATTERS * scatter_k
+    return np.asarray((np.abs(rise_k) > most) & (np.abs(gap_s) <= NEAR_S))
 
 
 def felt(celsius: Array, lagged: Array | None, lag_s: float, lags_s: tuple[float, ...] = LAGS_S) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.temperature.thermometer import JUMP_K, jumps
 
 Flags = NDArray[np.bool_]
@@ -102,7 +103,8 @@ def reconstructed(t: Array, readings: Array) -> Array:
 def _slipped(t: Array, readings: Array) -> Flags:
     """Return which readings (n,) come between a jump and one back, within SLIP_S."""
     out = np.zeros(t.size, dtype=np.bool_)
-    before = np.flatnonzero(jumps(np.diff(t), np.diff(readings)))
+    rises = np.diff(readings)
+    before = np.flatnonzero(jumps(np.diff(t), rises, MAD_TO_SD * float(np.median(np.abs(rises)))))
     for k, first in enumerate(before):
         if out[first]:
             continue

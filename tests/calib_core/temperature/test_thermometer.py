@@ -119,6 +119,39 @@ def test_a_thermometer_is_believed_again_a_day_after_its_last_jump() -> None:
     assert (thermometer.celsius == 36.0).all()
 
 
+def test_a_slip_that_ends_while_the_sensors_are_off_is_over() -> None:
+    t = np.array([0.0, 30.0, 60.0, 200.0, 230.0])
+    slip = heard(t, np.array([20.0, 20.0, 40.0, 20.0, 20.5]))
+    assert slip.doubt is None and slip.t.tolist() == [0.0, 30.0, 200.0, 230.0]
+    assert heard(t, np.array([20.0, 20.0, 40.0, 40.0, 40.0])).doubts(230.0)
+
+
+@pytest.mark.parametrize("before", [[], [(0.0, 21.0), (30.0, 21.0)]])
+def test_a_wrong_reading_at_the_start_or_after_a_pause_costs_ten_minutes(
+    before: list[tuple[float, float]],
+) -> None:
+    """A chip that wakes tells 85 degC first: none of those after it jumps back to that."""
+    readings = [*before, (1000.0, 85.0), *((1000.0 + CELL_S * k, 20.0) for k in range(1, 40))]
+    t, celsius = np.array(readings).T
+    early = t < 1000.0 + FRESH_S
+    assert heard(t[early], celsius[early]).doubts(float(t[early][-1]))
+    woken = heard(t, celsius)
+    assert woken.doubt is None and 85.0 not in woken.celsius and woken.t[-1] == t[-1]
+
+
+@pytest.mark.parametrize("scatter", [0.7, 1.5])
+def test_readings_that_scatter_do_not_jump(scatter: float) -> None:
+    """Two days of a chip whose single readings are off by so much, K; then it jumps all the same."""
+    t = np.arange(0.0, 2 * STEADY_S, CELL_S)
+    celsius = 25.0 + scatter * np.random.default_rng(3).standard_normal(t.size)
+    celsius[-20:] += 30.0
+    thermometer = Thermometer()
+    for begin in range(0, t.size, 20):
+        assert thermometer.doubt is None
+        thermometer = thermometer.with_readings(t[begin : begin + 20], celsius[begin : begin + 20])
+    assert thermometer.doubts(float(t[-1]))
+
+
 @pytest.mark.parametrize("size", [1, 7, 250])
 def test_however_readings_are_cut_into_calls_the_same_ones_are_believed(size: int) -> None:
     """A slip, a jump that stays, and one more reading that is missing."""
