@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rate
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
-from stillcal.calib_core.diagnosis.motion.time_offset import shown_in_motion
+from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span, on_limits
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
 from stillcal.calib_core.diagnosis.segments.overview import Overview
@@ -53,6 +53,9 @@ LEAST_SECONDS = 10.0
 MEASURED, SEARCHED = 0.15, 0.9
 """Share of the work that is done once single samples are judged, and once slow effects are searched for; on
 recordings of five minutes to two hours these took 5 to 17 % and 90 to 97 % of the time."""
+
+OTHER_AXES = "the axes of one of its sensors are exchanged"
+"""Why no delay and no lever arm are looked for: what the gyroscope turns gravity by is wrong then."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,10 +233,13 @@ def _with_motion(
     if len(exam.bins):
         affine, turns = turned(rates)
     filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra and s.tells_filter})
-    motion = shown_in_motion(
-        exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
-        spoiled=[*spoiled, *exam.on_limits], filters=filters,
-    )  # fmt: skip
+    if exam.other_axes is None:
+        motion = shown_in_motion(
+            exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
+            spoiled=[*spoiled, *exam.on_limits], filters=filters,
+        )  # fmt: skip
+    else:
+        motion = Shown([], why_none=OTHER_AXES)
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
     turns = None if exam.exchanged else turns

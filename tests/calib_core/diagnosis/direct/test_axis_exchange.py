@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
-from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.diagnose import OTHER_AXES, examine
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -72,6 +72,16 @@ def test_turns_about_axes_that_are_right_hide_no_other_convention(change: np.nda
     force, spin = from_face_to_face(seed)
     found = other_axes(turns_between(changed(spin, change), cut(force, spin), G))
     assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_beside_another_convention_no_delay_is_told(seed: int) -> None:
+    """Rates about other axes turn gravity elsewhere, which a delay of a tenth of a second seemed to mend."""
+    force, spin = from_face_to_face(seed)
+    shown = examine(force, changed(spin, SWAPPED), sought=())
+    assert {s.finding.effect for s in shown.statements}.isdisjoint({"accel_gyro_time_offset", "lever_arm"})
+    assert shown.delay is None and shown.why_no_delay == OTHER_AXES
+    assert examine(force, spin, sought=()).delay is not None
 
 
 def test_an_exchange_that_mends_half_of_the_turns_is_no_other_convention() -> None:
