@@ -221,7 +221,7 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
             continue
         to_and_fro = _to_and_fro(estimates)
         if to_and_fro:
-            steps = [without_name(s) if s.winner.hypothesis.effect.name == to_and_fro else s for s in steps]
+            steps = _as_one(steps, to_and_fro)
             continue
         made = [_finding(residuals, *each) for each in zip(kept, estimates, others, strict=True)]
         gains = [_supported(f) for f in made]
@@ -368,6 +368,18 @@ def _stands_alone(found: Scored) -> bool:
 def _passed_over(step: Step) -> list[Step]:
     """Return what a name was preferred to for the sake of a second one that did not last."""
     return [Step(s, ()) for s in step.others[:1] if s.score >= thresholds.SCORE]
+
+
+def _as_one(steps: Sequence[Step], name: str) -> list[Step]:
+    """Return the steps with the two of one name, which went to and fro, as one without a name.
+
+    It is the curve that the first of them was preferred to; where there is none, only their names go.
+    """
+    both = [s for s in steps if s.winner.hypothesis.effect.name == name]
+    curve = [s for s in _passed_over(both[0]) if s.winner.hypothesis.effect.name == "unknown"]
+    if not curve:
+        return [without_name(s) if s in both else s for s in steps]
+    return curve + [s for s in steps if s not in both]
 
 
 def _unsupported(steps: Sequence[Step], weak: Step, among_others: Finding | None) -> list[Step]:
