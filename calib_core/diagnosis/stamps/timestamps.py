@@ -38,6 +38,9 @@ SHARP = 0.08
 LOCAL = 0.75
 """Periods by which an interval of neighbours may be off."""
 
+FEW_TOGETHER = 1e-3
+"""Part of the samples that may come together: with more, what is after a long interval may be late."""
+
 WANDERING = -0.25
 """Correlation of neighbouring intervals half way between independent stamps (-1/2) and intervals (0)."""
 
@@ -99,13 +102,14 @@ class Grid:
         steps = np.diff(t)
         near = np.abs(steps - period) < LOCAL * period
         rough = np.diff(steps)[near[1:] & near[:-1]]
-        sharp = rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
+        even = rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
+        sharp = even and float(np.mean(steps < (1.0 - LOCAL) * period)) < FEW_TOGETHER
         multiples = np.where(near, 1.0, np.rint(steps / period)) if sharp else periods_between(t, period)
         factor = _factor(steps, near & (multiples == 1.0))
         if not sharp and factor == ACCUMULATING:
             multiples = _peaked(steps / period)
-        even = (multiples == 1.0) & (steps < 2.0 * period)
-        second = np.diff(steps)[even[1:] & even[:-1]]
+        single = (multiples == 1.0) & (steps < 2.0 * period)
+        second = np.diff(steps)[single[1:] & single[:-1]]
         return cls(t, period, multiples, resolution(t), second, factor)
 
     @property
@@ -167,7 +171,7 @@ def _factor(steps: Array, even: NDArray[np.bool_]) -> float:
     own = steps - np.median(steps[even]) if even.any() else steps
     both = even[1:] & even[:-1]
     power = float((own[1:][both] ** 2).mean()) if both.any() else 0.0
-    if power <= 0.0:
+    if power <= (1e-6 * float(np.median(steps))) ** 2:
         return INDEPENDENT
     together = float((own[1:][both] * own[:-1][both]).mean()) / power
     return ACCUMULATING if together > WANDERING else INDEPENDENT

@@ -108,3 +108,14 @@ def test_intervals_that_scatter_by_themselves_have_no_grid() -> None:
     rng = np.random.default_rng(13)
     stamps = np.cumsum(1.0 + 0.25 * rng.standard_normal(N // 2).clip(-3.0, 3.0)) / RATE
     assert Grid.of(stamps, sample_period(stamps)).missing().value == 0.0
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05])
+def test_stamps_as_coarse_as_their_interval_hide_no_sample(share: float) -> None:
+    """Two stamps of 20 ms are the same where one was late, and the next interval is 40 ms."""
+    rng = np.random.default_rng(14)
+    kept = rng.random(N) >= share
+    late = np.sort(np.arange(N) + 0.3 * rng.standard_normal(N))[kept]
+    stamps = np.floor(late) / RATE
+    grid = Grid.of(stamps, sample_period(stamps))
+    assert grid.missing().value == pytest.approx((~kept).mean(), abs=2e-3)
