@@ -26,7 +26,6 @@ from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.events import Location
 from stillcal.calib_core.streams.samples import SampleError, Samples, Sensor
 from stillcal.calib_core.temperature.memory import Memory
-from stillcal.calib_core.temperature.thermometer import STEADY_S
 
 _SLACK_S = 60.0
 """s: gyroscope samples are kept this much longer than a rotation segment and the rest that ends it may last.
@@ -93,7 +92,7 @@ class Intake:
         before, now = self._state.thermometer.doubt, self._state.thermometer.with_readings(t, celsius)
         self._state.thermometer = now
         if now.doubt is not None and before is None:
-            how_long = "ten minutes have" if now.doubt.steady_s < STEADY_S else "a day has"
+            how_long = "ten minutes have" if now.doubt.from_first else "a day has"
             why = (
                 f"the thermometer jumped to {now.doubt.celsius:.1f} degC, faster than a phone warms or cools"
                 f": it is not followed until it has jumped back or {how_long} passed without a jump"

@@ -45,9 +45,10 @@ def without_vibrations(
 def _joined(told: NDArray[np.float64], least: float) -> NDArray[np.int64]:
     """Return for each part (n,) the first of those that are fitted together, with `least` rows or more."""
     first, since = np.zeros(told.size, dtype=np.int64), 0
+    before = np.concatenate([[0.0], np.cumsum(told)])
     for k in range(told.size):
         first[k] = since
-        if told[since : k + 1].sum() >= least and told[k + 1 :].sum() >= least:
+        if before[k + 1] - before[since] >= least and before[-1] - before[k + 1] >= least:
             since = k + 1
     return first
 

@@ -85,6 +85,11 @@ class Doubt:
     scatter_k: float = 0.0
     steady_s: float = STEADY_S
 
+    @property
+    def from_first(self) -> bool:
+        """Whether the reading that they jumped from was a first one, which is as doubtful as they are."""
+        return self.steady_s < STEADY_S
+
     def after(self, t: float, celsius: float, believed: Reading | None) -> Doubt | None:
         """Return the doubt after a further reading, None where it is over.
 
@@ -154,7 +159,7 @@ class Thermometer:
             now, read = float(t[k]), float(celsius[k])
             if doubt is None:
                 doubt = _doubted(t, celsius, believed, k)
-                if doubt is not None and doubt.steady_s < STEADY_S:
+                if doubt is not None and doubt.from_first:
                     believed.pop()
             elif now // CELL_S > doubt.t // CELL_S:
                 last = believed[-1] if believed else None
@@ -231,15 +236,18 @@ def _first_of_cells(t: Array, celsius: Array) -> NDArray[np.intp]:
 
 def _doubted(t: Array, celsius: Array, believed: list[int], k: int) -> Doubt | None:
     """Return the doubt that begins with reading k of (n,); None where it goes on from those believed."""
-    now, read = float(t[k]), float(celsius[k])
-    if not believed or not jumps(now - t[believed[-1]], read - celsius[believed[-1]]):
+    if not believed:
+        return None
+    last, now, read = believed[-1], float(t[k]), float(celsius[k])
+    gap, rise = now - float(t[last]), read - float(celsius[last])
+    if not jumps(gap, rise):
         return None
     recent = [i for i in believed[-int(SPAN_S / CELL_S) :] if t[i] >= now - SPAN_S]
     apart = np.abs(np.diff(celsius[recent]))
     scatter = MAD_TO_SD * float(np.median(apart)) if len(recent) >= FEWEST else UNKNOWN_K
-    if not jumps(now - t[believed[-1]], read - celsius[believed[-1]], scatter):
+    if not jumps(gap, rise, scatter):
         return None
-    first = len(believed) == 1 or t[believed[-1]] - t[believed[-2]] > NEAR_S
+    first = len(believed) == 1 or t[last] - t[believed[-2]] > NEAR_S
     return Doubt(now, now, read, scatter, FRESH_S if first else STEADY_S)
 
 

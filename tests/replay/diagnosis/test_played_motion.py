@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
 from stillcal.calib_core.gravity import STANDARD
@@ -20,7 +20,7 @@ from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.on_input import LeverArm, VibrationTone
 from stillcal.replay.phone.effects.on_settings import GyroBiasRandomWalk
 from stillcal.replay.phone.phone import Phone
-from stillcal.replay.phone.settings import SensorSettings
+from stillcal.replay.phone.settings import ClockSettings, SensorSettings
 
 T = np.arange(0.0, 120.0, 0.02)
 TONE = VibrationTone(frequency=11.0, amplitude=(0.3, 0.2, 0.1))
@@ -69,30 +69,32 @@ def test_noise_of_the_rate_acts_through_no_lever_arm(rate: float, felt: bool) ->
     assert (np.ptp(played.accelerometer.xyz, axis=0).max() > 0.01) == felt
 
 
-def test_a_phone_has_the_jitter_that_is_compared() -> None:
-    """Of stamps most of which are exact, a median said that they have none."""
-    late = T + 9e-4 * (np.arange(T.size) % 50 == 7)
-    force = frozen(np.tile([0.0, 0.0, STANDARD], (T.size, 1)))
-    samples = Samples(Sensor.ACCELEROMETER, frozen(late), force)
+def lying_still(t: Array) -> Samples:
+    """Return the forces of a phone that lies flat, stamped t (n,) s."""
+    return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(np.tile([0.0, 0.0, STANDARD], (t.size, 1))))
+
+
+def clock_of(samples: Samples) -> ClockSettings:
+    """Return the clock of the phone that would have made a recording of these samples."""
     recording = Recording(samples, None, [], Claims(), [])
     bins = still_bins(samples, None)
     conditions = conditions_of(bins)
     affine = fit_affine(bins, [], conditions, STANDARD)
-    made = phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD)
-    assert made.clock.jitter_s == pytest.approx(stamps_as_compared(samples)[0], rel=1e-3)
-    assert 0.5e-4 < made.clock.jitter_s < 2e-4, "9e-4 / sqrt(50)"
+    return phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD).clock
+
+
+def test_a_phone_has_the_jitter_that_is_compared() -> None:
+    """Of stamps most of which are exact, a median said that they have none."""
+    samples = lying_still(T + 9e-4 * (np.arange(T.size) % 50 == 7))
+    clock = clock_of(samples)
+    assert clock.jitter_s == pytest.approx(stamps_as_compared(samples)[0], rel=1e-3)
+    assert 0.5e-4 < clock.jitter_s < 2e-4, "9e-4 / sqrt(50)"
 
 
 def test_a_simulated_clock_loses_as_few_samples_as_the_recorded_one() -> None:
     """Nine in 20,000: most parts of the recording lose none, and the whole is compared."""
     t = np.delete(np.arange(20_000) / 50.0, np.arange(1_000, 19_000, 2_000))
-    samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(np.tile([0.0, 0.0, STANDARD], (t.size, 1))))
-    bins = still_bins(samples, None)
-    conditions = conditions_of(bins)
-    affine = fit_affine(bins, [], conditions, STANDARD)
-    recording = Recording(samples, None, [], Claims(), [])
-    made = phone_of(recording, bins, [], affine, conditions=conditions, gravity=STANDARD)
-    assert made.clock.drop_fraction == pytest.approx(9 / 20_000, rel=0.01)
+    assert clock_of(lying_still(t)).drop_fraction == pytest.approx(9 / 20_000, rel=0.01)
 
 
 def test_a_simulated_walk_sets_out_from_where_the_recorded_one_did() -> None:
