@@ -52,14 +52,17 @@ def correct(
     started: s, when the sensors were switched on, None where unknown. Raises NotCalibratedError where the
     record has no part of their sensor.
     """
-    celsius = samples.temperature
-    if celsius is not None and _has_terms(record, samples.sensor):
-        celsius = thermometer.believed(samples.t, celsius)
-    late = celsius is not None and any(lag_of(term) for term in record.terms)
+    celsius, lagged, charged = samples.temperature, None, None
+    if any(term.sensor == samples.sensor for term in record.terms):
+        charged = charger.course(samples.t)
+        if celsius is not None:
+            celsius = thermometer.believed(samples.t, celsius)
+            late = any(lag_of(term) for term in record.terms)
+            lagged = thermometer.course(samples.t, celsius) if late else None
     at = Drivers(
         celsius=celsius,
-        lagged=thermometer.course(samples.t, celsius) if late and celsius is not None else None,
-        charged=charger.course(samples.t) if _has_terms(record, samples.sensor) else None,
+        lagged=lagged,
+        charged=charged,
         force=force,
         age=None if started is None else samples.t - started,
         raw=samples.xyz,
@@ -104,10 +107,6 @@ def _corrected(
         return correct(record, samples, force, thermometer, charger, started=started)
     except NotCalibratedError:
         return samples
-
-
-def _has_terms(record: CalibrationRecord, sensor: Sensor) -> bool:
-    return any(term.sensor == sensor for term in record.terms)
 
 
 def _known(record: CalibrationRecord, sensor: Sensor) -> list[tuple[Correction, Term]]:

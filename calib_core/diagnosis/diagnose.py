@@ -181,7 +181,7 @@ def examine(
     spoiled = None if turned else garbled(between)
     gone = [*lost, spoiled] if spoiled else lost
     clear = outside_of(bins, gone)
-    streams = [Stream.of(s, x, clear, claims) for s, x in sensors]
+    streams = [Stream.of(s, x, clear) for s, x in sensors]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])

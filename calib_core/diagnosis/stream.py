@@ -70,14 +70,7 @@ class Stream:
     levels: noise.Levels | None
 
     @classmethod
-    def of(
-        cls,
-        sensor: str,
-        samples: Samples,
-        bins: Bins,
-        claims: Claims,
-        lines: list[Finding] | None = None,
-    ) -> Stream:
+    def of(cls, sensor: str, samples: Samples, bins: Bins, lines: list[Finding] | None = None) -> Stream:
         """Measure a sensor's rests; coarse steps hide its noise. lines: if known; None to look for them."""
         calm = without_outliers(samples)
         rests = quiet(calm, bins)
@@ -109,7 +102,7 @@ class Stream:
             return False
         return self.spectra.low_pass is not None or self.levels.own
 
-    def halves(self, claims: Claims) -> list[Stream]:
+    def halves(self) -> list[Stream]:
         """Return the stream before and after its middle, each measured by itself."""
         middle = float(self.samples.t[len(self.samples) // 2])
         k = int(np.searchsorted(self.samples.t, middle))
@@ -117,8 +110,7 @@ class Stream:
         start = self.bins.t - self.bins.duration / 2
         parts = ((self.samples[:k], end <= middle), (self.samples[k:], start >= middle))
         return [
-            Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), claims, self.lines)
-            for x, rows in parts
+            Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), self.lines) for x, rows in parts
         ]
 
     def measured(self) -> dict[str, Measured]:
@@ -219,7 +211,7 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
         found += noise.noise_findings(sensor, own, claim, sound, where)
     if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
         return found
-    parts = [half.measured() for half in stream.halves(claims)]
+    parts = [half.measured() for half in stream.halves()]
     return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]
 
 

@@ -23,6 +23,7 @@ CREEP_BINS, COURSE_BINS = 10, 6
 CREEP_TAUS = (1 / 20, 1 / 6, 1 / 2)
 """Parts of a rest in which its support gives way exponentially: any exponential is nearly a sum of these."""
 
+STEPS = 20
 HALVINGS = 8
 SETTLED = 1e-6
 PRIOR = np.diag(1.0 / np.repeat([BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE], 3))
@@ -163,7 +164,7 @@ def norms_of(force: Array, variance: Array, rest: Index, gravity: float) -> Norm
     return Norms(force, _rest_weights(np.linalg.norm(force, axis=1), variance.mean(axis=1), rest), gravity)
 
 
-def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, steps: int = 20) -> Baseline:
+def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float) -> Baseline:
     """Fit the nine parameters of |S (m - b)| = g by damped Gauss-Newton with priors of physical size.
 
     force, variance: (n, 3); rest: (n,). Norm of gravity alone leaves a common rotation free, so S is
@@ -172,7 +173,7 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float, ste
     """
     norms, x = norms_of(force, variance, rest, gravity), np.zeros(9)
     cost = norms.cost(x)
-    for _ in range(steps):
+    for _ in range(STEPS):
         step = np.asarray(np.linalg.lstsq(*norms.rows(x), rcond=None)[0])
         x, before = _shortened(norms, x, step, cost), cost
         cost = norms.cost(x)

@@ -5,7 +5,7 @@ The quiet rests tell: what shakes the phone in others adds samples that follow e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -355,10 +355,10 @@ def _density(z: Array, x: Array) -> Array:
     return np.asarray((1.0 - share) * narrow + share * np.exp(-0.5 * (z / wide) ** 2) / wide)
 
 
-def _curvature(cost: object, x: Array, h: float = 0.02) -> Array:
+def _curvature(cost: Callable[[Array], float], x: Array) -> Array:
     """Return the matrix of second derivatives by central differences."""
-    assert callable(cost)
-    n, steps = x.size, h * np.eye(x.size)
+    n, h = x.size, 0.02
+    steps = h * np.eye(n)
     out = np.empty((n, n))
     for i in range(n):
         for j in range(n):

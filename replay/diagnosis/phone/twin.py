@@ -25,6 +25,9 @@ from stillcal.replay.phone.timeline import Steps
 UNPREDICTED = frozenset({"spikes", "vibration_tone", "tilt_creep"})
 """Effects that cannot be computed from a recording: random, of unknown phase, or true motion."""
 
+ROUNDS = 2
+"""Of the fit: effects follow the attitude, which the fit finds."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conditions:
@@ -120,15 +123,13 @@ class AffinePhone:
         return np.asarray((raw - self.rate_bias) @ self.rate_mapping.T)
 
 
-def fit_affine(
-    bins: Bins, effects: Sequence[Effect], conditions: Conditions, gravity: float, rounds: int = 2
-) -> AffinePhone:
+def fit_affine(bins: Bins, effects: Sequence[Effect], conditions: Conditions, gravity: float) -> AffinePhone:
     """Fit the affine phone to the static bins without the effects; an ideal phone where there are no bins."""
     accel = gyro = np.zeros_like(bins.force)
     if len(bins) == 0:
         faultless = Baseline(np.eye(3), np.zeros(3), np.empty((0, 3)), np.empty(0), np.empty((0, 9)))
         return AffinePhone(faultless, np.zeros(3), accel, gyro)
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         baseline = fit_baseline(bins.force - accel, bins.force_variance, bins.rest, gravity)
         moment = at_bins(bins, conditions, baseline.up, gravity)
         accel = effects_output(effects, Sensor.ACCELEROMETER, moment, conditions, 1.0 / 10.0)

@@ -83,7 +83,7 @@ def humming(overtones: int, rests: int = 12) -> Stream:
     for k in range(1, overtones + 1):
         xyz += 0.02 * np.sin(2.0 * np.pi * 8.1 * k * t + k)[:, None]
     samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
-    return Stream.of("accel", samples, still_bins(samples, None, ()), CLAIMS)
+    return Stream.of("accel", samples, still_bins(samples, None, ()))
 
 
 @pytest.mark.parametrize("overtones", [1, 5])
