@@ -1,4 +1,4 @@
 """Calibrations in other tools' own files: one target, one module, with the source of its convention.
 
-`targets.TARGETS` lists them. `imu.ImuParameters` is what all of them write and read.
+`targets` has them by name. `imu.ImuParameters` is what all of them write and read.
 """

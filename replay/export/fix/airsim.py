@@ -1,7 +1,8 @@
 """AirSim's settings.json, corrected: noise of every IMU in it.
 
-Names and units are explained, with sources, in `stillcal.replay.export.airsim`. A setting that is missing has
-AirSim's own value. JSON has no comments; the order of members stays, the spaces become those of this writer.
+Names and units are explained, with sources, in `stillcal.replay.export.targets.airsim`. A setting that is
+missing has AirSim's own value. JSON has no comments; the order of members stays, the
+spaces become those of this writer.
 """
 
 from __future__ import annotations
@@ -16,7 +17,6 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.maths.rms import rms
-from stillcal.replay.export.airsim import KEYS, TAUS, stability
 from stillcal.replay.export.fix.findings import (
     SENSORS,
     SLOW_NOISE,
@@ -29,6 +29,7 @@ from stillcal.replay.export.fix.findings import (
     recorded,
     slow_walk,
 )
+from stillcal.replay.export.targets.airsim import KEYS, TAUS, stability
 
 IMU = 2
 """SensorType of an IMU (AirSim, docs/sensors.md)."""

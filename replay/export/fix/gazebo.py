@@ -1,6 +1,6 @@
 """Gazebo's SDF, corrected: mean, stddev and dynamic bias of one <imu>, and its sensor's update_rate.
 
-What the elements mean is said, with sources, in `stillcal.replay.export.gazebo`.
+What the elements mean is said, with sources, in `stillcal.replay.export.targets.gazebo`.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from stillcal.replay.export.fix.findings import (
     to_add,
 )
 from stillcal.replay.export.fix.xml_text import Node, parsed, text_at, with_child, with_text
-from stillcal.replay.export.gazebo import LONG_S
 from stillcal.replay.export.imu import gauss_markov_allan
+from stillcal.replay.export.targets.gazebo import LONG_S
 
 ELEMENTS = {"accel": "linear_acceleration", "gyro": "angular_velocity"}
 

@@ -18,7 +18,6 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
-from stillcal.replay.export.airsim import DEG_PER_HOUR, DEG_PER_ROOT_HOUR
 from stillcal.replay.export.fix.findings import (
     SLOW_NOISE,
     WHITE,
@@ -35,6 +34,7 @@ from stillcal.replay.export.fix.findings import (
     to_add,
 )
 from stillcal.replay.export.imu import gauss_markov_allan
+from stillcal.replay.export.targets.airsim import DEG_PER_HOUR, DEG_PER_ROOT_HOUR
 
 BIAS = {"accel": ("accel_b", 1.0), "gyro": ("gyro_b", DEG_PER_HOUR)}
 WALK = {"accel": ("accel_vrw", 1.0 / 60.0), "gyro": ("gyro_arw", DEG_PER_ROOT_HOUR)}

@@ -1,7 +1,8 @@
 """MATLAB's imuSensor, corrected: assignments such as imu.Gyroscope.ConstantBias = [x y z]; in an .m file.
 
-Units, signs and the reference of 25 degC are explained, with sources, in `stillcal.replay.export.imusensor`.
-Comments and everything else stay; a property that is missing is added below the sensor's other lines.
+Units, signs and the reference of 25 degC are explained, with sources, in
+`stillcal.replay.export.targets.imusensor`. Comments and everything else stay; a
+property that is missing is added below the sensor's other lines.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from stillcal.replay.export.fix.findings import (
     slow_walk,
     to_add,
 )
-from stillcal.replay.export.imusensor import PERCENT, REFERENCE_C
+from stillcal.replay.export.targets.imusensor import PERCENT, REFERENCE_C
 
 SENSORS = {"accel": "Accelerometer", "gyro": "Gyroscope"}
 SIGNS = {"accel": -1.0, "gyro": 1.0}

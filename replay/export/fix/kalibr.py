@@ -1,7 +1,7 @@
 """kalibr's imu.yaml, corrected: noise densities, random walks and update_rate, wherever they stand in it.
 
 The lines are changed in their place, so that comments and everything else stay. What the numbers mean is
-said, with sources, in `stillcal.replay.export.kalibr`.
+said, with sources, in `stillcal.replay.export.targets.kalibr`.
 """
 
 from __future__ import annotations

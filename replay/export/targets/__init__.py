@@ -1,4 +1,4 @@
-"""All targets by name, each imported when it is asked for."""
+"""All targets by name, each imported when it is asked for; one module a target."""
 
 from __future__ import annotations
 
