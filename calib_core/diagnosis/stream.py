@@ -24,13 +24,13 @@ from stillcal.calib_core.diagnosis.noise.gathered_noise import (
     without_parts,
 )
 from stillcal.calib_core.diagnosis.noise.heavy_tails import tails
-from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER as CHANGING
-from stillcal.calib_core.diagnosis.noise.intermittent_line import is_line, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER as CHANGING
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
-from stillcal.calib_core.diagnosis.noise.spectral_line import AtRest, tones
-from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers

@@ -27,9 +27,9 @@ from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.time_offset import DELIVERED, LEAST_WINDOWS
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import BRIEF
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
-from stillcal.calib_core.diagnosis.noise.spectral_line import BRIEF
-from stillcal.calib_core.diagnosis.noise.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched
 from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream

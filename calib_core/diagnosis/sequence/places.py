@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
-from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, OWN, lines
+from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import ASIDE, OWN, lines
 from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, residual, spread
 from stillcal.calib_core.diagnosis.sequence.spectrum import (
     without_bands,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, lines
+from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import ASIDE, lines
 from stillcal.calib_core.maths import sines
 from stillcal.calib_core.maths.chi_squared import exceeded
 

@@ -14,7 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import sized
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter
-from stillcal.calib_core.diagnosis.noise.line_spectrum import lines
+from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import lines
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.sequence.neighbours import spread
 from stillcal.calib_core.diagnosis.sequence.places import batch

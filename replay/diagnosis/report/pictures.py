@@ -10,8 +10,8 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.motion.axis_delays import DRIVER as AXES_LATE
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
-from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER as INTERMITTENT
-from stillcal.calib_core.diagnosis.noise.steady_period import DRIVER as STEADY_PERIOD
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER as INTERMITTENT
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence import codes as own_code
 from stillcal.calib_core.diagnosis.sequence import lone_values, order, places, recurrence

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 

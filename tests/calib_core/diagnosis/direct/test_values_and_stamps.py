@@ -12,8 +12,8 @@ from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.noise.heavy_tails import contaminated, tails
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet
-from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.diagnosis.stamps.clock import clock_rate, timing_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor

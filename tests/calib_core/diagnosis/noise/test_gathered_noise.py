@@ -10,9 +10,9 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.noise.gathered_noise import gathered_noise, gathered_noise_finding
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 from stillcal.calib_core.diagnosis.noise.noise_level import levels, noise_findings
-from stillcal.calib_core.diagnosis.noise.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
-from stillcal.calib_core.diagnosis.noise.steady_period import DRIVER as STEADY_PERIOD
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.report.pictures import _of_samples

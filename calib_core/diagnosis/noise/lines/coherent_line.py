@@ -16,8 +16,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, HeldOut, Index, of_chance
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.intermittent_line import SILENT
-from stillcal.calib_core.diagnosis.noise.line_estimate import (
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import SILENT
+from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
     CLOCK,
     IN_STEP,
     SIGNIFICANT,
@@ -26,8 +26,8 @@ from stillcal.calib_core.diagnosis.noise.line_estimate import (
     peak,
     vibration,
 )
-from stillcal.calib_core.diagnosis.noise.line_spectrum import ASIDE, FAR_ASIDE, OWN, ZEROS, faint_lines
-from stillcal.calib_core.diagnosis.noise.steady_segments import Places, Stretches
+from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import ASIDE, FAR_ASIDE, OWN, ZEROS, faint_lines
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, Stretches
 from stillcal.calib_core.maths.rms import rms
 
 NEVER = 0.49

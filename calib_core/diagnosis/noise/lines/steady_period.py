@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding
-from stillcal.calib_core.diagnosis.noise.coherent_line import CoherentSpectrum
-from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz
-from stillcal.calib_core.diagnosis.noise.spectral_line import (
+from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
     LEAST_LINE_HZ,
     MOST_LINES,
     NEAR,

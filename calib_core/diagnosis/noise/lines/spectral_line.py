@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.coherent_line import CoherentSpectrum
-from stillcal.calib_core.diagnosis.noise.harmonics import with_harmonics
-from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz, named_if_steady
-from stillcal.calib_core.diagnosis.noise.line_estimate import narrow, profile, stated, told
-from stillcal.calib_core.diagnosis.noise.steady_segments import (
+from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
+from stillcal.calib_core.diagnosis.noise.lines.harmonics import with_harmonics
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz, named_if_steady
+from stillcal.calib_core.diagnosis.noise.lines.line_estimate import narrow, profile, stated, told
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import (
     NEIGHBOURS,
     OWN,
     Places,

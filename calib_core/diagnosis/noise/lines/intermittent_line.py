@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
-from stillcal.calib_core.diagnosis.noise.steady_segments import OWN, Stretches
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.rms import rms
 

@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.noise.steady_segments import INDEPENDENT, NEIGHBOURS, OWN, Stretches
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import INDEPENDENT, NEIGHBOURS, OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.noise.steady_period import DRIVER, steady_period
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER, steady_period
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE = 25.0

@@ -14,11 +14,11 @@ from scipy.special import ive
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.noise import spectral_line
-from stillcal.calib_core.diagnosis.noise.intermittent_line import DRIVER, middle_hz, scaled_bessel
-from stillcal.calib_core.diagnosis.noise.line_spectrum import faint_lines
-from stillcal.calib_core.diagnosis.noise.spectral_line import AtRest, tones
-from stillcal.calib_core.diagnosis.noise.steady_period import steady_period
+from stillcal.calib_core.diagnosis.noise.lines import spectral_line
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER, middle_hz, scaled_bessel
+from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import faint_lines
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 T = np.arange(0.0, 600.0, 0.01)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.noise.intermittent_line import middle_hz
-from stillcal.calib_core.diagnosis.noise.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 T = np.arange(0.0, 300.0, 0.01)
