@@ -1,0 +1,53 @@
+"""The static bins that slow effects are judged on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.diagnosis.clear_bins import PLUG_LATE, away_from_plugs
+from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.streams.events import Charging
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+RATE = 10.0
+SWITCHES = (300.0, 700.0, 1100.0, 1500.0, 2000.0)
+
+
+def plugged(late: float) -> tuple[Samples, Samples, list[Charging]]:
+    """Leave a phone on a table for 40 min; the plug moves its rate's bias. Events come `late` s after it."""
+    rng = np.random.default_rng(5)
+    t = np.arange(2400 * RATE) / RATE
+    charging = np.searchsorted(SWITCHES, t, side="right") % 2
+    force = np.array([0.0, 0.0, 9.80665]) + rng.normal(0.0, 0.01, (t.size, 3))
+    rate = charging[:, None] * np.array([1.5e-3, -1e-3, 2e-3]) + rng.normal(0.0, 1e-3, (t.size, 3))
+    events = [Charging(s + late, k % 2 == 0) for k, s in enumerate(SWITCHES)]
+    return (
+        Samples.checked(Sensor.ACCELEROMETER, t, force),
+        Samples.checked(Sensor.GYROSCOPE, t, rate),
+        events,
+    )
+
+
+@pytest.mark.parametrize("late", [0.0, 1.3, 2.5])
+def test_a_bias_of_the_plug_is_named_though_its_events_come_late(late: float) -> None:
+    """A second of a bin on the wrong side made it `unknown`: two levels in time, beside those of the plug."""
+    accelerometer, gyroscope, events = plugged(late)
+    (found,) = diagnose(accelerometer, gyroscope, events).findings
+    assert found.effect == "gyro_charging_bias"
+    step = found.parameters["step"]
+    assert np.allclose(step.value, [1.5e-3, -1e-3, 2e-3], atol=1e-4)
+
+
+def test_bins_about_a_plug_are_left_out() -> None:
+    accelerometer, gyroscope, events = plugged(0.0)
+    bins = cut(accelerometer, gyroscope, events)
+    kept = away_from_plugs(bins)
+    assert len(bins) - 2 * len(SWITCHES) <= len(kept) < len(bins)
+    assert kept.charging is not None and set(kept.charging) == {0.0, 1.0}
+    for s in SWITCHES:
+        ends = kept.t + kept.duration / 2.0
+        assert not ((kept.t - kept.duration / 2.0 < s) & (ends > s - PLUG_LATE)).any()
+    without = cut(accelerometer, gyroscope)
+    assert away_from_plugs(without) is without
