@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -80,10 +81,10 @@ def shown_in_motion(
     error = float(np.hypot(np.sqrt(fit.last.sums.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     total = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
-    whole = late = _delayed(total, fit, usual, where, interval)
+    delayed = partial(_delayed, fit=fit, usual=usual, where=where, interval=interval)
+    filters = _likely(filters, total, delayed)
     beyond = total if filters is None else filters.beyond(total)
-    if filters is not None:
-        late = _delayed(beyond, fit, usual, where, interval)
+    whole, late = delayed(total), delayed(beyond)
     axes, trend = fit.axes(motion), fit.trend(motion)
     grows = trend.grows and not (filters is not None and filters.explains_growth(trend.growth.value))
     surely = 0.0 if late is None else late.evidence.log_bayes_factor
@@ -103,6 +104,18 @@ def shown_in_motion(
     if abs(beyond.value) >= LONGEST:
         return Shown(findings, None, f"its turns tell none below {LONGEST} s")
     return Shown(findings, beyond)
+
+
+def _likely(
+    filters: FilterDelay | None, total: Measured, delayed: Callable[[Measured], Finding | None]
+) -> FilterDelay | None:
+    """Return the low-passes; None where motion shows no delay, and stamps would have to undo theirs.
+
+    More likely is then a spectrum that vibration at rest has shaped. delayed: states a delay, or nothing.
+    """
+    if filters is None or delayed(total) is not None or delayed(filters.beyond(total)) is None:
+        return filters
+    return None
 
 
 def _why_several(*, by_time: bool, sure: bool) -> str:

@@ -11,9 +11,14 @@ from scipy.signal import butter, lfilter
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
+from stillcal.calib_core.diagnosis.motion.time_offset import shown_in_motion
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples
+from tests.calib_core.diagnosis.motion.test_time_offset import G, played
 from tests.support.diagnosis.turned_pairs import RATE, low_passed, turned
 
 
@@ -77,6 +82,19 @@ def test_a_low_pass_may_be_the_other_sensors_too_where_its_noise_does_not_tell()
     for delay in (0.0, -0.02):
         beyond = filters.beyond(Measured(delay, 0.0))
         assert abs(beyond.value) <= 1.1 * beyond.error
+
+
+def test_motion_without_a_delay_refutes_a_low_pass_that_vibration_imitates() -> None:
+    """What shakes a phone at rest has a spectrum of its own; stamps that undo its low-pass were stated."""
+    accelerometer, gyroscope = played(11)
+    spectra = judged(Quiet(tuple(NOISE), tuple(10.0 * i for i in range(len(NOISE))), 100.0))
+    assert spectra is not None
+    filters = FilterDelay.of({"accel": spectra, "gyro": replace(spectra, low_pass=None)})
+    affine = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+    usual = sound_phones()["time_offset"]
+    shown = shown_in_motion(accelerometer, gyroscope, affine, G, usual, filters=filters)
+    assert shown.findings == [] and shown.delay is not None
+    assert abs(shown.delay.value) < 3.0 * shown.delay.error < 0.01
 
 
 NOISE = lfilter(*butter(1, 0.16), np.random.default_rng(8).normal(size=(20, 1000, 3)), axis=1)
