@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.noise.noise_level import Levels, odd_one_out,
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
-from stillcal.calib_core.diagnosis.stamps.timestamps import mean_period
+from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
@@ -361,10 +361,14 @@ def rate(samples: Samples) -> Quantity:
 
     Samples that are missing count, for they were measured; stamps in bursts are counted over time.
     """
-    pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
-    each = sample_period if bunched(samples.t) else mean_period
-    logs = -np.log([each(p) for p in pieces])
-    error = MAD_TO_SD * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(len(pieces))
+    if bunched(samples.t):
+        pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
+        periods = np.array([sample_period(p) for p in pieces])
+    else:
+        grid = Grid.of(samples.t, sample_period(samples.t))
+        periods = grid.mean_periods(min(PIECES, len(samples) - 1))
+    logs = -np.log(periods)
+    error = MAD_TO_SD * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(logs.size)
     return Quantity(
         "sample_rate",
         "timing",

@@ -44,16 +44,45 @@ def bunched(t: Array) -> bool:
     return middle <= 0.0 or waits.size == 0 or rms(off) > ON_GRID
 
 
+ON_STEPS = 1e-3
+"""Usual intervals by which each interval may be off a multiple of it, where stamps are rounded to as much."""
+
+PARTS, IN_PART = 20, 5
+"""Parts, of some long intervals each, that are enough to tell whether these come evenly."""
+
+EVENLY = 0.25
+"""Variance of the long intervals in a part over their number: at least one where losses come by chance."""
+
+
+def rounded_to_intervals(t: Array) -> bool:
+    """Whether stamps t (n,) are rounded to steps as long as the usual interval, as 833 Hz in ms.
+
+    Some intervals are then twice as long (or nothing, where the rate is higher than the steps'), and come as
+    evenly as a clock has them. Those of lost samples come by chance.
+    """
+    steps = intervals(t)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    if usual <= 0.0:
+        return False
+    ratio = steps / usual
+    longer = np.rint(ratio) - 1.0
+    parts = int(abs(longer.sum())) // IN_PART
+    if parts < PARTS or np.abs(ratio - 1.0 - longer).max() > ON_STEPS:
+        return False
+    counts = np.add.reduceat(longer, np.arange(parts) * longer.size // parts)
+    return float(counts.var()) < EVENLY * abs(float(counts.mean()))
+
+
 def sample_period(t: Array) -> float:
     """Return the interval of stamps t (n,), s; 0 with fewer than two.
 
     It is the mean of the intervals near the median, which rounding and missing samples do not move; of
-    stamps in bursts it is the mean of all.
+    stamps in bursts, or rounded to steps as long as that, it is the mean of all.
     """
     steps = intervals(t)
     if not (steps > 0.0).any():
         return 0.0
-    if bunched(t):
+    if bunched(t) or rounded_to_intervals(t):
         return float(steps.mean())
     middle = float(np.median(steps[steps > 0.0]))
     near = steps[np.abs(steps - middle) <= 0.5 * middle]

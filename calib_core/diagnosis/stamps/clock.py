@@ -108,7 +108,7 @@ def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
 
 def nominal_rate_error(t: Array, nominal_rate_hz: float) -> tuple[Measured, Array]:
     """Return the true rate over the nominal one, less 1, and what it makes of the stamps (PIECES, 2) s."""
-    mean = np.array([stamps.mean_period(p) for p in np.array_split(t, PIECES)])
+    mean = stamps.Grid.of(t, sample_period(t)).mean_periods(PIECES)
     off = 1.0 / (mean * nominal_rate_hz) - 1.0
     x = t[0] + (np.arange(PIECES) + 0.5) * (t[-1] - t[0]) / PIECES
     return mean_of(off, 1e-6), np.column_stack([x, np.cumsum(off) * (t[-1] - t[0]) / PIECES])

@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import rounded_to_intervals
 from stillcal.calib_core.diagnosis.stamps.phase import periods_between
 from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 from stillcal.calib_core.maths.robust import bulk
@@ -63,14 +63,6 @@ LASTING = 0.5
 """Part of a recording beyond which what is there is there all along."""
 
 
-def mean_period(t: Array) -> float:
-    """Return the mean interval of a stretch, its gaps counted as the samples that are missing."""
-    period = sample_period(t)
-    return (
-        float((t[-1] - t[0]) / max(np.rint(np.diff(t) / period).sum(), 1.0)) if period > 0.0 else float("nan")
-    )
-
-
 def resolution(t: Array) -> float:
     """Return the decimal step, s, that all stamps lie on; 0 where they lie on none coarser than 1 us."""
     thin = t[:: max(1, t.size // 5000)]
@@ -104,13 +96,29 @@ class Grid:
         rough = np.diff(steps)[near[1:] & near[:-1]]
         even = rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
         sharp = even and float(np.mean(steps < (1.0 - LOCAL) * period)) < FEW_TOGETHER
-        multiples = np.where(near, 1.0, np.rint(steps / period)) if sharp else periods_between(t, period)
-        factor = _factor(steps, near & (multiples == 1.0))
-        if not sharp and factor == ACCUMULATING:
-            multiples = _peaked(steps / period)
+        step = resolution(t)
+        if rounded_to_intervals(t):
+            step, multiples, factor = float(np.median(steps)), np.ones(steps.size), INDEPENDENT
+        else:
+            multiples = np.where(near, 1.0, np.rint(steps / period)) if sharp else periods_between(t, period)
+            factor = _factor(steps, near & (multiples == 1.0))
+            if not sharp and factor == ACCUMULATING:
+                multiples = _peaked(steps / period)
         single = (multiples == 1.0) & (steps < 2.0 * period)
         second = np.diff(steps)[single[1:] & single[:-1]]
-        return cls(t, period, multiples, resolution(t), second, factor)
+        return cls(t, period, multiples, step, second, factor)
+
+    def mean_periods(self, parts: int) -> Array:
+        """Return the mean period, s, of each of `parts` parts: missing samples count, pauses do not."""
+        steps = np.diff(self.t)
+        inside = steps <= LONGEST_GAP * self.period
+        periods = [
+            (float(one[here].sum()), float(count[here].sum()))
+            for one, count, here in zip(
+                *(np.array_split(each, parts) for each in (steps, self.multiples, inside)), strict=True
+            )
+        ]
+        return np.array([time / count if count else self.period for time, count in periods])
 
     @property
     def rounding(self) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.noise import rate
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -119,3 +120,36 @@ def test_stamps_as_coarse_as_their_interval_hide_no_sample(share: float) -> None
     stamps = np.floor(late) / RATE
     grid = Grid.of(stamps, sample_period(stamps))
     assert grid.missing().value == pytest.approx((~kept).mean(), abs=2e-3)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.1])
+@pytest.mark.parametrize(("hz", "step"), [(833.0, 1e-3), (952.0, 1e-3), (1600.0, 1e-3), (97.0, 1e-2)])
+def test_stamps_rounded_to_their_interval_are_of_a_rate_between_steps(
+    hz: float, step: float, scatter: float
+) -> None:
+    """At 833 Hz in ms every fifth interval is 2 ms, as evenly as a clock has it: nothing is missing."""
+    rng = np.random.default_rng(15)
+    stamps = np.floor(np.sort(np.arange(N) + scatter * rng.standard_normal(N)) / hz / step) * step
+    samples = Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.zeros((N, 3))))
+    assert timing_findings(samples, Claims(nominal_rate_hz=hz), sound_phones()) == []
+    assert sample_period(stamps) == pytest.approx(1.0 / hz, rel=1e-4)
+
+
+def test_losses_by_chance_are_no_rounding_of_stamps() -> None:
+    """Exact stamps of 50 Hz: their intervals are whole numbers of the usual one, too."""
+    kept = np.random.default_rng(16).random(N) >= 0.1
+    stamps = (np.arange(N) / RATE)[kept]
+    assert sample_period(stamps) == pytest.approx(1.0 / RATE)
+    assert Grid.of(stamps, sample_period(stamps)).missing().value == pytest.approx((~kept).mean(), abs=5e-4)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_losses_beside_jitter_make_no_clock_slow(share: float) -> None:
+    """The rate is the one of the grid on which samples are missing, and the phone file has the same."""
+    rng = np.random.default_rng(17)
+    kept = rng.random(N) >= share
+    stamps = np.sort(np.arange(N) + 0.25 * rng.standard_normal(N))[kept] / RATE
+    samples = Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.zeros((stamps.size, 3))))
+    found = timing_findings(samples, Claims(nominal_rate_hz=RATE), sound_phones())
+    assert {f.effect for f in found} == {"timestamp_jitter", "dropped_samples"}
+    assert np.exp(rate(samples).value[0]) == pytest.approx(RATE, rel=1e-3)
