@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import with_harmonics
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz, named_if_steady
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER, middle_hz, named_if_steady
 from stillcal.calib_core.diagnosis.noise.lines.line_estimate import narrow, profile, stated, told
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import (
     NEIGHBOURS,
@@ -144,7 +144,32 @@ def _coherent(
         if better and not body:
             steady.append(one)
     every = [*steady, *(f for f in found if not any(_same(f, one) for one in steady))]
-    return [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in steady]
+    return _named(steady, seen, every)
+
+
+def _named(lines: Sequence[Finding], seen: Stretches, every: Sequence[Finding]) -> list[Finding]:
+    """Take the name off what comes and goes, and leave out its skirts. every: the lines there are."""
+    named = [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in lines]
+    others = [*named, *(f for f in every if all(f is not one for one in lines))]
+    length = float(np.median(seen.span[:, 1] - seen.span[:, 0]))
+    return [f for f, one in zip(named, lines, strict=True) if not any(_skirt(one, x, length) for x in others)]
+
+
+def _skirt(line: Finding, other: Finding, length: float) -> bool:
+    """Whether a line is no more than what the spells of another one, as they begin and end, spread so far.
+
+    A sine fitted to a stretch does not take it off. An end in the middle of a stretch of a `length`, s, under
+    half a sine, leaves 1 / (4 length apart) of the amplitude at a frequency `apart`; a spell has two ends.
+    """
+    if other.where.driver != DRIVER or _same(line, other):
+        return False
+    spread = 1.0 / (2.0 * length * abs(middle_hz(line) - middle_hz(other)))
+    return _size(line) <= spread * _size(other)
+
+
+def _size(line: Finding) -> float:
+    """Return the amplitude of a line, of its axes together, m/s^2 or rad/s."""
+    return float(np.linalg.norm(line.parameters["amplitude"].value))
 
 
 def _of_any_length(places: Places | None, sensor: str, short: Stretches | None) -> list[Finding]:
@@ -203,9 +228,8 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
         left = left.without(middle_hz(line), apart)
         ratio = left.ratio()
     every = [*known, *found]
-    named = [named_if_steady(one, seen, [middle_hz(f) for f in every if f is not one]) for one in found]
     above = left.free & (seen.f > LEAST_LINE_HZ)
-    return named, bool((ratio[:, above] > _plain(ratio.size)).any())
+    return _named(found, seen, every), bool((ratio[:, above] > _plain(ratio.size)).any())
 
 
 def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:

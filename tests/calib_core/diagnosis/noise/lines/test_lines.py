@@ -141,6 +141,20 @@ def test_the_ends_of_strong_spells_make_no_other_lines() -> None:
     assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(DRIVER, 8.4)]
 
 
+@pytest.mark.parametrize(("rest", "spell"), [(36.0, 6.0), (33.0, 10.0)])
+def test_a_motor_in_short_spells_makes_no_other_lines(rest: float, spell: float) -> None:
+    """It runs in every 40 s of a phone moved again and again: lines 2 to 6 Hz beside it were stated."""
+    rng, t = np.random.default_rng(2), np.arange(0.0, 675.0, 1.0 / 208.0)
+    begins = np.concatenate([[0.0], np.cumsum(rng.uniform(rest - 10.0, rest + 10.0, 60))])
+    moved = t - begins[np.searchsorted(begins[1:], t)] < 5.0
+    xyz = rng.normal([0.0, 0.0, 9.81], 0.008, (t.size, 3))
+    xyz[:, 0] += np.where(moved, 5.0 * np.sin(0.4 * np.pi * t), 0.0)
+    motor = 0.45 * np.sin(2.0 * np.pi * 62.0 * t) * (t % 40.0 < spell)
+    xyz += motor[:, None] * [0.3, 0.0, 1.0]
+    found = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(DRIVER, 62.0)]
+
+
 @pytest.mark.parametrize("scale", [0.0, 1e-12, 1e9])
 def test_silence_has_no_lines_nor_has_noise_of_any_size(scale: float) -> None:
     assert faint_lines(np.random.default_rng(2).normal(0.0, scale, 6000), 1.0).max() < 20.0
