@@ -208,6 +208,14 @@ class Aligned:
     unsure: Array
     errors: Array | None
 
+    def left_unknown(self) -> Array:
+        """Return `errors`; with few turns what the norm, and a usual gyroscope's spread, leave, (18, 18)."""
+        if self.errors is not None:
+            return self.errors
+        found = np.diag(np.concatenate([np.zeros(9), 1.0 / GYRO_PRIOR]))
+        found[:9, :9] = self.unsure
+        return found
+
 
 def aligned(
     gyroscope: Samples, bins: Bins, gravity: float, limit: float = np.inf, rates: Rates = as_read

