@@ -27,6 +27,9 @@ BLOCK_S = 1.0
 ALLOWED = 0.3
 """Part of the repeats that chance expects by which they may exceed it: axes are not quite independent."""
 
+ALIKE = 10
+"""Blocks that are counted together: counts of a single one are too uncertain for their products."""
+
 LEAST_SHARE = 1e-3
 """Share of samples held that is none, on the logarithmic scale of populations."""
 
@@ -127,12 +130,15 @@ def _at_highest(x: Array) -> NDArray[np.bool_]:
 class Repeats:
     """Samples that repeat the one before on all axes. n: samples a block.
 
-    together, chance: (B,) a block, how many there are and how many steps would make; longest: in a row.
+    together, chance: (B,) a block, how many there are and how many steps would make if none were held;
+    judged: (B,) how many could be; alone: (B, 3) how many repeat on each axis; longest: in a row.
     """
 
     n: int
     together: Array
     chance: Array
+    judged: Array
+    alone: Array
     longest: int
     mixed: bool
 
@@ -149,9 +155,10 @@ class Repeats:
         judged = np.maximum(free.sum(axis=1), 1)
         every = same.all(axis=2)
         together = every.sum(axis=1).astype(np.float64)
-        chance = judged * (same.sum(axis=1) / judged[:, None]).prod(axis=1)
+        alone = same.sum(axis=1)
+        chance = judged * (alone / judged[:, None]).prod(axis=1)
         mixed = _mixed_steps(samples.xyz, same, float(together.sum()))
-        return cls(n, together, chance, _longest(every.ravel()), mixed)
+        return cls(n, together, chance, judged, alone, _longest(every.ravel()), mixed)
 
     @property
     def excess(self) -> float:
@@ -163,10 +170,33 @@ class Repeats:
         total, expected = float(self.n * self.together.size), float(self.chance.sum())
         if self.mixed or self.excess < ALLOWED * expected:
             return Measured(0.0, 1.0 / total)
-        held = share_of(float(self.together.sum()), total)
-        return Measured(
-            max(self.excess, 0.0) / total, float(np.hypot(held.error, ALLOWED * expected / total))
-        )
+        part = float(self.judged.sum()) / total
+        less, most_likely, more = (part * self._held(k) for k in (1.0 + ALLOWED, 1.0, 1.0 - ALLOWED))
+        counted = share_of(most_likely * total, total)
+        return Measured(most_likely, float(np.hypot(counted.error, (more - less) / 2.0)))
+
+    def _held(self, dependence: float) -> float:
+        """Return the part h of the judged samples that is held; steps make the other repeats.
+
+        An axis repeats in p = h + (1 - h) c of them, all axes in q = h + (1 - h) c1 c2 c3, so that
+        (1 - h)^2 (q - h) is (p1 - h) (p2 - h) (p3 - h), a cubic of h. c differs with motion, and is one for
+        `ALIKE` blocks whose axes repeat about as often. dependence: times that steps make all axes repeat,
+        of what independent axes do.
+        """
+        first = np.arange(0, self.judged.size, ALIKE)
+        order = np.argsort(self.alone.sum(axis=1) / self.judged)
+        counts = np.column_stack([self.judged, self.together, self.alone])[order]
+        judged, *repeats = np.add.reduceat(counts, first).T
+        q, x, y, z = repeats / judged
+        apart = np.stack([x * y * z, -(x * y + y * z + z * x), x + y + z, np.full(q.size, -1.0)])
+        held = np.stack([q, -(1.0 + 2.0 * q), 2.0 + q, np.full(q.size, -1.0)])
+        cubic = (held - dependence * apart) @ judged
+        if cubic[0] <= 0.0:
+            return 0.0
+        roots = np.roots(cubic[::-1])
+        # Without a root, as dependent axes may leave none, all that repeats is held at most.
+        real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0) & (roots.real <= 1.0)]
+        return float(real.min(initial=float(self.together.sum() / self.judged.sum())))
 
 
 def held(samples: Samples, sensor: str, usual: Usual) -> tuple[Finding | None, float]:

@@ -62,6 +62,22 @@ def test_values_held_are_found_where_no_limit_is_met() -> None:
     assert found is not None and share == pytest.approx(0.02, abs=0.001)
 
 
+@pytest.mark.parametrize("part", [0.05, 0.2, 0.5])
+@pytest.mark.parametrize("step", [2e-4, 7e-4])
+def test_the_part_that_is_held_is_told_beside_what_steps_repeat(part: float, step: float) -> None:
+    """Held samples repeat on each axis as well: that was taken for chance, and half came out as a quarter."""
+    rng = np.random.default_rng(6)
+    rate = turned(1, [0], 2.0)
+    kept = np.where(rng.random(len(rate)) < part, 0, np.arange(len(rate)))
+    coarse = np.rint(rate / step) * step
+    xyz = coarse[np.maximum.accumulate(kept)]
+    samples = Samples(Sensor.GYROSCOPE, frozen(np.arange(len(rate)) / RATE), frozen(xyz))
+    found, share = held(samples, "gyro", NONE_HELD)
+    assert found is not None and share == pytest.approx(part, abs=0.02)
+    low, high = found.parameters["fraction"].ci95
+    assert low < part < high
+
+
 def test_an_axis_turned_at_its_limit_for_seconds_is_not_stuck() -> None:
     assert stuck(recorded(turned(0, [2], 10.0, turns=8)), "gyro") is None
 
