@@ -25,39 +25,54 @@ CLEAR = 5.0
 CERTAIN = 32.0
 """Times the squared resultant length, stamps in one window: they tell the phase to 0.02 periods."""
 
+AS_WELL = 0.9
+"""Part of the best agreement from which a period is tried, too.
+
+Stamps that are rounded to steps agree equally well at a mirrored rate: the steps' rate less the true one. At
+that rate the lag falls where two stamps are close, and numbers that never fall follow it less closely.
+"""
+
 
 def periods_between(t: Array, usual: float) -> Array:
     """Return how many periods (n - 1,) lie between stamps t (n,) s that jitter. usual: their interval, s.
 
     Missing samples leave the phase of the grid as it is and put all later stamps a whole number of periods
     back; jitter does neither. So the whole numbers that never fall and lie nearest to the stamps' lag are
-    sought: isotonic regression, rounded. All are one where jitter hides the grid.
+    sought: isotonic regression, rounded. Of several periods, the one whose lag they follow most closely
+    counts. All are one where jitter hides the grid.
     """
-    one_each = np.ones(t.size - 1)
-    period, agreement = _period(t, usual)
-    if agreement <= 0.0 or (window := CERTAIN / agreement) > t.size / 4:
-        return one_each
-    turns = (t - t[0]) / period
-    lag = turns - _phase(turns, int(window)) - np.arange(t.size)
-    return np.asarray(one_each + np.diff(np.rint(isotonic_regression(lag).x)))
+    best, nearest = np.zeros(t.size), np.inf
+    for period, agreement in _periods(t, usual):
+        window = int(CERTAIN / agreement)
+        if window > t.size / 4:
+            continue
+        turns = (t - t[0]) / period
+        lag = turns - _phase(turns, window) - np.arange(t.size)
+        lost = np.rint(isotonic_regression(lag).x)
+        off = float(np.var(lag - lost))
+        if off < nearest:
+            best, nearest = lost, off
+    return np.asarray(1.0 + np.diff(best))
 
 
-def _period(t: Array, usual: float) -> tuple[float, float]:
-    """Return the period, s, at which phases agree best, and their squared resultant length; 0 if unclear."""
+def _periods(t: Array, usual: float) -> list[tuple[float, float]]:
+    """Return the periods, s, at which phases agree best, and their squared resultant lengths."""
     starts = np.arange(0, t.size - BLOCK + 1, BLOCK)
     if starts.size == 0:
-        return usual, 0.0
+        return []
     rows = t[starts[:: -(-starts.size // BLOCKS), None] + np.arange(BLOCK)] / usual
     rates = np.arange(1.0 - LONGER, 1.0 + SHORTER, 1.0 / (4.0 * BLOCK))
     power = np.array([np.mean(np.abs(np.exp(2j * np.pi * rate * rows).mean(axis=1)) ** 2) for rate in rates])
-    top = int(np.clip(np.argmax(power), 1, rates.size - 2))
     # Independent phases have a squared resultant of 1 / BLOCK, and of the same standard deviation.
-    agreement = (power[top] - 1.0 / BLOCK) / (1.0 - 1.0 / BLOCK)
-    if agreement < CLEAR / (BLOCK * np.sqrt(len(rows))):
-        return usual, 0.0
-    before, at, after = power[top - 1 : top + 2]
-    off = 0.5 * (before - after) / (before - 2.0 * at + after)
-    return usual / (rates[top] + off * (rates[1] - rates[0])), float(agreement)
+    agreement = (power - 1.0 / BLOCK) / (1.0 - 1.0 / BLOCK)
+    peaks = 1 + np.flatnonzero((power[1:-1] >= power[:-2]) & (power[1:-1] > power[2:]))
+    clear = max(CLEAR / (BLOCK * np.sqrt(len(rows))), AS_WELL * float(agreement.max()))
+    found = []
+    for top in peaks[agreement[peaks] >= clear]:
+        before, at, after = power[top - 1 : top + 2]
+        off = 0.5 * (before - after) / (before - 2.0 * at + after)
+        found.append((usual / (rates[top] + off * (rates[1] - rates[0])), float(agreement[top])))
+    return found
 
 
 def _phase(turns: Array, window: int) -> Array:

@@ -153,3 +153,15 @@ def test_losses_beside_jitter_make_no_clock_slow(share: float) -> None:
     found = timing_findings(samples, Claims(nominal_rate_hz=RATE), sound_phones())
     assert {f.effect for f in found} == {"timestamp_jitter", "dropped_samples"}
     assert np.exp(rate(samples).value[0]) == pytest.approx(RATE, rel=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.parametrize("off", [-0.01, 0.0083])
+def test_losses_are_counted_beside_stamps_of_half_the_interval(off: float, share: float) -> None:
+    """Stamps in steps of 10 ms at 50.4 Hz: phases agree as well at 49.6 Hz, where too few are missing."""
+    rng = np.random.default_rng(18)
+    kept = rng.random(N // 2) >= share
+    late = np.sort(np.arange(N // 2) + 0.15 * rng.standard_normal(N // 2))[kept]
+    stamps = np.floor(late / (1.0 + off) * 2.0) / 2.0 / RATE
+    grid = Grid.of(stamps, sample_period(stamps))
+    assert grid.missing().value == pytest.approx((~kept).mean(), abs=1e-3)
