@@ -63,8 +63,9 @@ def open_rest_table(found: Path | Source) -> RestTable:
 
     Columns: ax ay az, and any of t duration n gx gy gz sax say saz sgx sgy sgz temperature, or other usual
     names for them with their units (recognition/rest_columns.py). A mean's standard uncertainty is s/sqrt(n).
-    Where the table has no s or no n, only the rounding of the printed numbers is known of it, step/sqrt(12):
-    the same for all rows and a lower bound, so that rows weigh alike and the residuals have to tell the rest.
+    Where the table has no s or no n, or an s of 0, only the rounding of the printed numbers is known of it,
+    step/sqrt(12): a lower bound, the same for all such rows, so that they weigh alike and the residuals have
+    to tell the rest.
     Rows without t are numbered 0, 1, 2, ... in its place. Raises TraceError.
     """
     path = found.path if isinstance(found, Source) else found
@@ -105,7 +106,8 @@ def _uncertainty(
     sd = _stacked(columns, scatter)
     if "n" not in columns:
         return sd, rounding
-    return sd, sd / np.sqrt(np.maximum(columns["n"].si, 1.0))[:, None]
+    # A standard deviation of 0 was rounded, or is that of a single sample: no mean is known without an error.
+    return sd, np.where(sd > 0.0, sd / np.sqrt(np.maximum(columns["n"].si, 1.0))[:, None], rounding)
 
 
 def _extent(columns: dict[str, _Values], row: int) -> dict[str, Any]:
@@ -144,6 +146,11 @@ def _columns(found: Path | Source) -> tuple[dict[str, _Values], list[str]]:
     if bad.any():
         row, i = (int(k) for k in np.argwhere(bad)[0])
         what = f"column {wanted[i].name!r} holds no finite number"
+        raise TraceError(path, what, "correct or delete that row", int(lines[row]))
+    spread = np.array([column.quantity in (*FORCE_SCATTER, *RATE_SCATTER) for column in wanted])
+    if (below := spread & (values < 0.0)).any():
+        row, i = (int(k) for k in np.argwhere(below)[0])
+        what = f"column {wanted[i].name!r} holds a standard deviation below 0"
         raise TraceError(path, what, "correct or delete that row", int(lines[row]))
     found_columns = {c.quantity: _in_si(values[:, i], c) for i, c in enumerate(wanted)}
     if "temperature" in found_columns:

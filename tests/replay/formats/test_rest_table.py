@@ -116,6 +116,28 @@ def test_a_scatter_without_a_unit_has_that_of_its_mean(tmp_path: Path) -> None:
         assert rest.rate_uncertainty == pytest.approx([np.radians(0.001)] * 3)
 
 
+SCATTERED = "ax,ay,az,gx,gy,gz,sax,say,saz,sgx,sgy,sgz,n"
+
+
+def test_a_standard_deviation_of_zero_leaves_the_rounding_of_the_mean(tmp_path: Path) -> None:
+    path = tmp_path / "r.csv"
+    scatter = np.array([[0.02] * 3, [0.0] * 3, [0.02] * 3])
+    path.write_text("\n".join([SCATTERED, *lines(UP * G, RATES, scatter, scatter, np.full(3, 400.0))]) + "\n")
+    rests = open_rest_table(path).rests
+    assert rests[0].rate_uncertainty == pytest.approx([0.001] * 3)
+    for known in (rests[1].force_uncertainty, rests[1].rate_uncertainty):
+        assert np.all(np.asarray(known) > 1e-8)
+
+
+@pytest.mark.parametrize("column", ["saz", "sgx"])
+def test_a_standard_deviation_below_zero_is_refused(tmp_path: Path, column: str) -> None:
+    scatter = np.full((3, 6), 0.02)
+    scatter[1, ("sax", "say", "saz", "sgx", "sgy", "sgz").index(column)] = -0.02
+    rows = lines(UP * G, RATES, scatter, np.full(3, 400.0))
+    with pytest.raises(TraceError, match=rf"r.csv:3: column '{column}' holds a standard deviation below 0"):
+        read(tmp_path / "r.csv", SCATTERED, *rows)
+
+
 @pytest.mark.parametrize(
     ("unit", "values", "what"),
     [
