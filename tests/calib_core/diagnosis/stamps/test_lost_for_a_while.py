@@ -9,7 +9,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.noise import rate
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import rounded_to_intervals, sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -141,6 +141,17 @@ def test_losses_by_chance_are_no_rounding_of_stamps() -> None:
     stamps = (np.arange(N) / RATE)[kept]
     assert sample_period(stamps) == pytest.approx(1.0 / RATE)
     assert Grid.of(stamps, sample_period(stamps)).missing().value == pytest.approx((~kept).mean(), abs=5e-4)
+
+
+def test_rounding_is_told_from_losses_by_even_long_intervals_of_exact_stamps() -> None:
+    """It takes a hundred long intervals that come evenly, all of them whole numbers of the usual one."""
+    rng = np.random.default_rng(19)
+    every_tenth = np.where(np.arange(2_000) % 10 == 0, 2.0, 1.0)
+    by_chance = 1.0 + (rng.random(2_000) < 0.4)
+    scattering = every_tenth + 0.02 * rng.standard_normal(2_000)
+    assert rounded_to_intervals(np.cumsum(every_tenth) / RATE)
+    for intervals in (every_tenth[:900], by_chance, scattering):
+        assert not rounded_to_intervals(np.cumsum(intervals) / RATE)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.3])
