@@ -77,10 +77,12 @@ def roughened(bins: Bins, seen: dict[str, Steps]) -> Bins:
 
 
 def _shared_error(mean: Array, error: Array, seen: Steps) -> Array:
-    """Return variances (n, 3): the steps' error (3,), which all bins share whose means round alike."""
-    cells = np.rint(mean / max(seen.largest, 1e-300))
-    _, which, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    return np.asarray(error**2 * count[which.ravel()][:, None], dtype=np.float64)
+    """Return variances (n, 3): the steps' error (3,), which bins share whose means on an axis round alike."""
+    out = np.empty_like(mean)
+    for axis, cells in enumerate(np.rint(mean / max(seen.largest, 1e-300)).T):
+        _, which, count = np.unique(cells, return_inverse=True, return_counts=True)
+        out[:, axis] = error[axis] ** 2 * count[which]
+    return out
 
 
 def limits_of(effect: str, found: Sequence[Finding | None]) -> list[float]:

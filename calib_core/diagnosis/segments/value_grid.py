@@ -83,21 +83,18 @@ def _noise_beneath(mean: Array, variance: Array) -> float:
     """Return the sd of the noise before rounding, of bins with mean and variance (n,) in steps.
 
     With the mean at a part p between two codes, values on these alone have the variance p (1 - p), however
-    little noise there is; what is more is of noise that reaches a third code. It is the median of bins,
-    weighed by this excess. None reached by any is no noise. Variance less step^2 / 12 tells it of many rests
-    in many attitudes only: midway between two codes that is too large, and the error was taken for five times
-    smaller than it was.
+    little noise there is; what is more is of noise that reaches a third code. It is the largest noise of
+    which the bins together show no less than they would. A bin counts at most twice what it would show: in
+    a few, the bias itself goes from code to code. 0 where no more than the least of `BENEATH` is shown.
+    Variance less step^2 / 12 tells it of many rests in many attitudes only: midway between two codes that is
+    too large, and the error was taken for five times smaller than it was.
     """
     place = mean - np.floor(mean)
-    excess = variance - place * (1.0 - place)
-    told = np.flatnonzero(excess > NO_THIRD)
-    if told.size == 0:
-        return 0.0
-    by_noise = np.array([np.interp(place[told], PLACES, row) for row in _excesses()])
-    noise = np.array([np.interp(e, by_noise[:, i], BENEATH) for i, e in enumerate(excess[told])])
-    order = np.argsort(noise)
-    share = np.cumsum(excess[told][order])
-    return float(noise[order][np.searchsorted(share, 0.5 * share[-1])])
+    excess = np.maximum(variance - place * (1.0 - place), 0.0)
+    shown = np.array([np.interp(place, PLACES, row) for row in _excesses()])
+    shown[shown < NO_THIRD] = 0.0
+    enough = np.flatnonzero((np.minimum(excess, 2.0 * shown) - shown).sum(axis=1) >= 0.0)
+    return float(BENEATH[enough[-1]]) if enough.size and enough[-1] > 0 else 0.0
 
 
 @cache

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.clear_bins import PLUG_LATE, away_from_plugs
+from stillcal.calib_core.diagnosis.clear_bins import PLUG_LATE, away_from_plugs, roughened
 from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -28,6 +31,22 @@ def plugged(late: float) -> tuple[Samples, Samples, list[Charging]]:
         Samples.checked(Sensor.GYROSCOPE, t, rate),
         events,
     )
+
+
+def test_the_rounding_of_an_axis_is_shared_whatever_the_other_axes_round_to() -> None:
+    """The means of x all round to one code, those of y and z to 25 different pairs."""
+    rng = np.random.default_rng(3)
+    accelerometer, gyroscope, _ = plugged(0.0)
+    bins = cut(accelerometer, gyroscope)
+    step, n = 1e-3, len(bins)
+    rate = step * np.column_stack([np.full(n, 3.0), rng.integers(-2, 3, (n, 2))])
+    coarse = replace(bins, rate=rate, rate_variance=np.zeros((n, 3)), rate_rounding=np.full(3, 2e-4))
+    fine = Steps(np.full(3, 1e-5), np.ones(3))
+    seen = {"accel": fine, "gyro": Steps(np.full(3, step), np.zeros(3))}
+    variance = roughened(coarse, seen).rate_variance
+    assert variance is not None
+    assert variance[:, 0] == pytest.approx(n * 2e-4**2)
+    assert variance[:, 1].mean() == pytest.approx(n / 5.0 * 2e-4**2, rel=0.1)
 
 
 @pytest.mark.parametrize("late", [0.0, 1.3, 2.5])
