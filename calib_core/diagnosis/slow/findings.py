@@ -188,57 +188,103 @@ def statements_of(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Sta
 
 
 def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]:
-    """Return the steps that stand, as findings.
-
-    What is nothing once the others are free to move with it was their model's fault, and is left out. So is
-    what the parts that took no part in the fit do not speak for, the last one first, for it was found beside
-    the others; names are then weighed anew. Where they speak for it and not for its name, the others' sizes
-    need it: only its name is taken off. So it is where its sizes are not told. A course that may be a turn of
-    the support, or of the rounding of rates, is left out as well.
-    """
+    """Return the steps that stand, as findings; without one that does not, the others are weighed anew."""
     while kept := adequate(steps):
-        if not _stands_alone(kept[-1].winner):
-            steps = _without(steps, kept[-1]) + _passed_over(kept[-1])
-            continue
         found = [step.winner.hypothesis for step in kept]
         others = [[f for f in found if f is not own] for own in found]
-        turned = [s for s, own, rest in zip(kept, found, others, strict=True) if _turns(residuals, own, rest)]
-        if turned:
-            steps = _without(steps, turned[-1])
+        if (changed := _not_by_themselves(residuals, steps, kept, others)) is not None:
+            steps = changed
             continue
         estimates = [estimate(residuals, own, rest) for own, rest in zip(found, others, strict=True)]
-        rounded = [step for step, e in zip(kept, estimates, strict=True) if _within_a_code(residuals, e)]
-        if rounded:
-            steps = _without(steps, rounded[-1])
-            continue
-        by_chance = [step for step, e in zip(kept, estimates, strict=True) if _by_chance(e, len(kept))]
-        if by_chance:
-            steps = _without(steps, by_chance[-1])
-            continue
-        unsized = [step for step, e in zip(kept, estimates, strict=True) if _unsized(e)]
-        if unsized:
-            steps = _unnamed(steps, unsized[-1])
-            continue
-        to_and_fro = _to_and_fro(estimates)
-        if to_and_fro:
-            steps = _as_one(steps, to_and_fro)
+        if (changed := _not_sized(residuals, steps, kept, estimates)) is not None:
+            steps = changed
             continue
         made = [_finding(residuals, *each) for each in zip(kept, estimates, others, strict=True)]
-        gains = [_supported(f) for f in made]
-        if min(gains) > 0.0:
-            forms = departures_of(residuals, estimates)
-            doubtful = doubted(residuals, kept, estimates, forms)
-            if doubtful is None:
-                told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
-                made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
-                return each_driver_once(
-                    [Stated(f, e.hypothesis, residuals) for f, e in zip(made, estimates, strict=True)]
-                )
-            steps = _unnamed(steps, doubtful)
+        if (changed := _not_predicting(steps, kept, made)) is not None:
+            steps = changed
             continue
-        last = max(k for k, gain in enumerate(gains) if gain <= 0.0)
-        steps = _unsupported(steps, kept[last], made[last] if len(kept) > 1 else None)
+        forms = departures_of(residuals, estimates)
+        doubtful = doubted(residuals, kept, estimates, forms)
+        if doubtful is None:
+            told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
+            made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
+            return each_driver_once(
+                [Stated(f, e.hypothesis, residuals) for f, e in zip(made, estimates, strict=True)]
+            )
+        steps = _unnamed(steps, doubtful)
     return []
+
+
+def _not_by_themselves(
+    residuals: SensorResiduals,
+    steps: Sequence[Step],
+    kept: Sequence[Step],
+    others: Sequence[Sequence[Hypothesis]],
+) -> list[Step] | None:
+    """Return the steps without the last that scores too little or may be a turn of the support; None if none.
+
+    others: of each of `kept`, the other effects.
+    """
+    if not _stands_alone(kept[-1].winner):
+        return _without(steps, kept[-1]) + _passed_over(kept[-1])
+    pairs = zip(kept, others, strict=True)
+    turned = [s for s, rest in pairs if _turns(residuals, s.winner.hypothesis, rest)]
+    return _without(steps, turned[-1]) if turned else None
+
+
+def _not_sized(
+    residuals: SensorResiduals, steps: Sequence[Step], kept: Sequence[Step], estimates: Sequence[Estimate]
+) -> list[Step] | None:
+    """Return the steps without the last whose sizes are none, or without names that these do not bear.
+
+    What is nothing once the others are free to move with it was their model's fault; so is what is within the
+    rounding of rates. None where all have sizes.
+    """
+    pairs = list(zip(kept, estimates, strict=True))
+    nothing_left = [s for s, e in pairs if _within_a_code(residuals, e)] or [
+        s for s, e in pairs if _by_chance(e, len(kept))
+    ]
+    if nothing_left:
+        return _without(steps, nothing_left[-1])
+    unsized = [s for s, e in pairs if _unsized(e)]
+    if unsized:
+        return _unnamed(steps, unsized[-1])
+    to_and_fro = _to_and_fro(estimates)
+    return _as_one(steps, to_and_fro) if to_and_fro else None
+
+
+def _not_predicting(
+    steps: Sequence[Step], kept: Sequence[Step], made: Sequence[Finding]
+) -> list[Step] | None:
+    """Return the steps without the last that the parts that took no part in the fit do not speak for.
+
+    It is the last, for it was found beside the others. Where they speak for it and not for its name, the
+    others' sizes need it: only its name is taken off. Where they speak more for a name than for structure
+    without one, it has that name. None where all are borne out.
+    """
+    gains = [_supported(f) for f in made]
+    if min(gains) <= 0.0:
+        last = max(k for k, gain in enumerate(gains) if gain <= 0.0)
+        return _unsupported(steps, kept[last], made[last] if len(kept) > 1 else None)
+    for step, finding in zip(kept, made, strict=True):
+        if (named := _predicts_more(step, finding)) is not None:
+            return [_won_by(s, named) if s.winner.fit is step.winner.fit else s for s in steps]
+    return None
+
+
+def _predicts_more(step: Step, finding: Finding) -> Scored | None:
+    """Return the name that predicts more than a winner without one which scores no better; None if none."""
+    if finding.effect != "unknown":
+        return None
+    own = finding.evidence.heldout_log_score_gain or 0.0
+    pairs = zip(_shown(step), finding.alternatives, strict=True)
+    better = {a.heldout_log_score_gain: s for s, a in pairs if a.indistinguishable}
+    return better[max(better)] if better and max(better) > own else None
+
+
+def _won_by(step: Step, name: Scored) -> Step:
+    """Return a step that another of its hypotheses wins."""
+    return Step(name, (step.winner, *(s for s in step.others if s is not name)))
 
 
 def _turns(residuals: SensorResiduals, own: Hypothesis, others: Sequence[Hypothesis]) -> bool:
