@@ -175,11 +175,12 @@ def _stays(signed: Array, on: NDArray[np.bool_], scale: _Scale) -> float | None:
 
     However fast they come there and go, so that few lie just below it. Each sample that stays has the chance
     with which values repeat the one before elsewhere, or with which noise at rest takes its likeliest step.
-    Six limits, of three axes and two signs, were tried. None where they do not stay.
+    Six limits, of three axes and two signs, were tried. None where they do not stay, or came there once: a
+    single stay may be a sample that was held.
     """
     stays = int((on[1:] & on[:-1]).sum())
     visits = int(on.sum()) - stays
-    if visits < LEAST_VISITS or stays < visits:
+    if visits < 2 or stays < visits:
         return None
     elsewhere = ~on[1:]
     repeats = int((np.diff(signed)[elsewhere] == 0.0).sum())

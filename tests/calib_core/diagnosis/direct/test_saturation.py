@@ -89,6 +89,15 @@ def test_three_fast_visits_to_a_limit_show_it(step: float, seed: int) -> None:
     assert saturation(spun(np.inf, step, seed), "gyro", noise, None) is None
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_two_fast_visits_show_a_limit_and_one_does_not(seed: int) -> None:
+    """Of spins to 2.6, 2.8 and 3.0 rad/s two or one pass it; a single stay may be a sample that was held."""
+    noise = np.full(3, 0.005)
+    found = saturation(spun(2.7, 1.07e-3, seed), "gyro", noise, None)
+    assert found is not None and found.parameters["limit"].value == pytest.approx(2.7, abs=3e-3)
+    assert saturation(spun(2.9, 1.07e-3, seed), "gyro", noise, None) is None
+
+
 def turned_about_each_axis(limit: float) -> Samples:
     """Return a gyroscope that is turned once about each axis and once back, at 1.5 to 1.7 rad/s."""
     rng, t = np.random.default_rng(5), np.arange(0.0, 120.0, 0.02)
