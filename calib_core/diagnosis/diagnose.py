@@ -37,11 +37,11 @@ from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequen
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
 from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
-from stillcal.calib_core.diagnosis.slow.nameless_tilt import beyond, nameless_tilt
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
 from stillcal.calib_core.diagnosis.slow.turn_errors import turn_errors
 from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_residuals
+from stillcal.calib_core.diagnosis.slow.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
@@ -247,7 +247,7 @@ def _with_motion(
     turns = None if exam.exchanged else turns
     if affine is not None and turns is not None and in_turns:
         of_turns = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
-        stated += beyond(nameless_tilt([s.finding for s in stated], gravity), of_turns)
+        stated += beyond(unsure_tilt(stated, gravity), of_turns)
     return replace(
         exam,
         aligned=affine,

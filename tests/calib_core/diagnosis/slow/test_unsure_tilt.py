@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.nameless_tilt import beyond, nameless_tilt
+from stillcal.calib_core.diagnosis.slow.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded
@@ -33,13 +33,13 @@ def of_turns(moved: float) -> Stated:
     return Stated(finding(SCALE.name, "gyro", sizes, SLOW_BAND), Hypothesis(SCALE, {}, (columns,)), None)
 
 
-def nameless(sensor: str, size: float, band: tuple[float, float] = SLOW_BAND) -> Finding:
-    return finding("unknown", sensor, {"amplitude": Parameter([0.0, size, 0.0], None, "m/s^2")}, band)
+def nameless(sensor: str, size: float, band: tuple[float, float] = SLOW_BAND) -> Stated:
+    return Stated(finding("unknown", sensor, {"amplitude": Parameter([0.0, size, 0.0], None, "m/s^2")}, band))
 
 
 @pytest.mark.parametrize("moved, kept", [(4e-3, False), (7e-3, True)])
 def test_what_turns_show_is_kept_where_it_is_larger_than_the_tilt(moved: float, kept: bool) -> None:
-    tilt = nameless_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD)
+    tilt = unsure_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD)
     assert tilt == pytest.approx(5e-3)
     assert bool(beyond(tilt, [of_turns(moved)])) is kept
 
@@ -48,10 +48,24 @@ def test_only_slow_nameless_errors_of_the_accelerometer_tilt() -> None:
     others = [
         nameless("gyro", 1.0),
         nameless("accel", 1.0, (5.0, 6.0)),
-        finding("accel_bias_step", "accel", {"step": Parameter([1.0, 0.0, 0.0], None, "m/s^2")}, SLOW_BAND),
+        Stated(finding("accel_bias_step", "accel", {"step": Parameter([1.0] * 3, None, "m/s^2")}, SLOW_BAND)),
     ]
-    assert nameless_tilt(others, STANDARD) == 0.0
+    assert unsure_tilt(others, STANDARD) == 0.0
     assert beyond(0.0, [of_turns(1e-6)])
+
+
+def test_what_is_unsure_of_a_named_error_tilts_and_its_size_does_not() -> None:
+    """A square of the force, of 1 +- 0.2 %/g on z (a 95 % interval), by the rests of a day."""
+    exam = examined(recorded(phone_with(), 3), sought=())
+    residuals = next(s for s in exam.sensors if s.sensor == "accel")
+    square = next(e for e in effects_of("accel") if e.name == "accel_nonlinearity" and len(e.parameters) == 1)
+    interval = [[0.0, 0.0], [0.0, 0.0], [8e-4, 1.2e-3]]
+    sizes = {square.parameters[0].name: Parameter([0.0, 0.0, 1e-3], interval, "1/(m/s^2)")}
+    own = residuals.hypothesis(square, {})
+    told = Stated(finding(square.name, "accel", sizes, SLOW_BAND), own, residuals)
+    z = residuals.moments.force[:, 2]
+    expected = 0.2e-3 / 1.96 * np.sqrt((z**4).mean()) / STANDARD
+    assert unsure_tilt([told], STANDARD) == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.slow
