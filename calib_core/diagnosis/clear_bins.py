@@ -22,9 +22,6 @@ from stillcal.calib_core.streams.samples import Samples
 CLEAR = 4.0
 """Standard deviations of the noise that a mean must be below a limit."""
 
-PLUG_LATE = 3.0
-"""s by which the event of a plug may come after the plug: a phone tells it when its charger has answered."""
-
 
 def still_bins(
     accelerometer: Samples,
@@ -42,19 +39,6 @@ def outside_of(bins: Bins, found: Sequence[Finding]) -> Bins:
     for f in found:
         bins = outside(bins, f.where.t_start, f.where.t_end)
     return bins
-
-
-def away_from_plugs(bins: Bins) -> Bins:
-    """Return the bins of which it is known whether the phone was on the charger, from end to end.
-
-    Left out are those with an event of the plug in them, or less than `PLUG_LATE` after them.
-    """
-    if bins.charging_switches is None:
-        return bins
-    times = bins.charging_switches[1:, 0]  # the first is the start of the recording
-    starts, ends = bins.t - bins.duration / 2.0, bins.t + bins.duration / 2.0 + PLUG_LATE
-    unknown = np.searchsorted(times, ends) > np.searchsorted(times, starts, side="right")
-    return bins.chosen(~unknown)
 
 
 def unlimited(bins: Bins, found: Sequence[Finding], force: Stream) -> Bins:

@@ -11,7 +11,6 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.clear_bins import (
     CLEAR,
-    away_from_plugs,
     limits_of,
     outside_of,
     roughened,
@@ -188,8 +187,7 @@ def examine(
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
     silent = [f for s, x in sensors if (f := dead(x, s))]
     direct = [*gone, *silent, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
-    told = away_from_plugs(unlimited(clear, direct, streams[0]))
-    slow = roughened(told, {s.sensor: s.steps for s in streams})
+    slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
     slow_residuals = by_sensor(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
     slow_residuals = about_nonlinearity(slow_residuals)
     stated = [Stated(f) for f in direct]

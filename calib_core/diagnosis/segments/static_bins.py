@@ -60,7 +60,10 @@ NEAR_BINS = 5
 """Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
 
 BRIEFEST_BIN = 4
-"""Windows of a bin that may lie in motion: three differences tell its noise."""
+"""Windows of a bin that may lie in motion, or be left beside a plug: three differences tell its noise."""
+
+PLUG_LATE = 3.0
+"""s by which the event of a plug may come after the plug: a phone tells it when its charger has answered."""
 
 LOUDER = 0.01
 """Chance of noise as loud as a bin's from where on it is the bin's own, and not that of the others: what it
@@ -197,6 +200,21 @@ class RestEdges:
     last: Array
     rest: Index
 
+    def beside_plugs(self, events: Sequence[Charging], start: float) -> RestEdges:
+        """Return bins of which it is known throughout whether the phone was on the charger.
+
+        What lies from `PLUG_LATE` before an event of the plug up to it is cut off, with the shorter side of
+        a bin; bins that become too brief are left out. start: s, the first window's.
+        """
+        first, last = self.first.copy(), self.last.copy()
+        for event in events:
+            low, high = np.floor((event.t - PLUG_LATE - start) / WINDOW), np.ceil((event.t - start) / WINDOW)
+            touched = (first < high) & (last > low)
+            at_end = low - first >= last - high
+            last[touched & at_end], first[touched & ~at_end] = low, high
+        kept = (last - first >= BRIEFEST_BIN) | ((first == self.first) & (last == self.last))
+        return replace(self, first=first[kept], last=last[kept], rest=self.rest[kept])
+
 
 def rest_edges(
     force: Windows, rate: Windows | None, span: tuple[float, float], bin_length: float | None = None
@@ -256,7 +274,7 @@ def cut(
     """
     overview = overview or overview_of(accelerometer, gyroscope)
     span, force, rate = overview.span, overview.force, overview.rate
-    edges = rest_edges(force, rate, span, bin_length)
+    edges = rest_edges(force, rate, span, bin_length).beside_plugs(events, span[0])
     if rate is not None:
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
     force, rate = without_gaps(force), None if rate is None else without_gaps(rate)

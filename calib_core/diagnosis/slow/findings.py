@@ -259,32 +259,13 @@ def _not_predicting(
     """Return the steps without the last that the parts that took no part in the fit do not speak for.
 
     It is the last, for it was found beside the others. Where they speak for it and not for its name, the
-    others' sizes need it: only its name is taken off. Where they speak more for a name than for structure
-    without one, it has that name. None where all are borne out.
+    others' sizes need it: only its name is taken off. None where all are borne out.
     """
-    gains = [_supported(f) for f in made]
-    if min(gains) <= 0.0:
-        last = max(k for k, gain in enumerate(gains) if gain <= 0.0)
-        return _unsupported(steps, kept[last], made[last] if len(kept) > 1 else None)
-    for step, finding in zip(kept, made, strict=True):
-        if (named := _predicts_more(step, finding)) is not None:
-            return [_won_by(s, named) if s.winner.fit is step.winner.fit else s for s in steps]
-    return None
-
-
-def _predicts_more(step: Step, finding: Finding) -> Scored | None:
-    """Return the name that predicts more than a winner without one which scores no better; None if none."""
-    if finding.effect != "unknown":
+    unsupported = [k for k, finding in enumerate(made) if _supported(finding) <= 0.0]
+    if not unsupported:
         return None
-    own = finding.evidence.heldout_log_score_gain or 0.0
-    pairs = zip(_shown(step), finding.alternatives, strict=True)
-    better = {a.heldout_log_score_gain: s for s, a in pairs if a.indistinguishable}
-    return better[max(better)] if better and max(better) > own else None
-
-
-def _won_by(step: Step, name: Scored) -> Step:
-    """Return a step that another of its hypotheses wins."""
-    return Step(name, (step.winner, *(s for s in step.others if s is not name)))
+    last = unsupported[-1]
+    return _unsupported(steps, kept[last], made[last] if len(kept) > 1 else None)
 
 
 def _turns(residuals: SensorResiduals, own: Hypothesis, others: Sequence[Hypothesis]) -> bool:

@@ -258,18 +258,6 @@ def test_a_name_that_left_out_parts_do_not_speak_for_gives_way_to_structure_with
     assert findings_of(residuals, [Step(name, ())]) == []
 
 
-@pytest.mark.parametrize(("ahead", "name"), [(0.5, "gyro_warmup"), (2.0, "unknown")])
-def test_a_name_that_predicts_more_than_structure_without_one_is_told(ahead: float, name: str) -> None:
-    """Where the score of either is as good, within a likelihood ratio of 20."""
-    day = short_day(6)
-    residuals, _ = gyro_of(6, np.outer(np.exp(-day.t / 300.0), [1e-3, 0.0, -5e-4]))
-    ranked = ranking(residuals, effects_of("gyro"))
-    warmup = next(s for s in ranked if s.hypothesis.effect.name == "gyro_warmup")
-    nameless = next(s for s in ranked if s.hypothesis.effect.name == "unknown")
-    winner = replace(nameless, score=warmup.score + ahead)
-    assert [f.effect for f in findings_of(residuals, [Step(winner, (warmup,))])] == [name]
-
-
 def test_where_neither_the_first_nor_its_first_rival_stands_the_others_are_tried() -> None:
     """A step of a bias was "no difference" though the search was sure of it: two shapes near it fell."""
     day = short_day(6)
