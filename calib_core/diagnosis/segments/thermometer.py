@@ -17,6 +17,7 @@ from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.temperature.thermometer import JUMP_K, jumps
 
 Flags = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 COARSE = 0.15
 """Smallest step, K, that is undone; half of a finer one is nothing beside the span that temperature needs."""
@@ -45,6 +46,9 @@ Beyond, noise of an eighth of a step and more dithers the steps, and means of re
 SLIP_S = 30.0
 """Longest time, s, that a slip of a thermometer takes; readings that jump and jump back later were set, in a
 chamber."""
+
+BRIEF = 0.1
+"""Part of the recording that readings before a first jump, or behind a last one, may take to be slips."""
 
 OFTEN = 10
 """Readings at equal times, at least, that show a thermometer that is read seldom."""
@@ -101,10 +105,31 @@ def reconstructed(t: Array, readings: Array) -> Array:
 
 
 def _slipped(t: Array, readings: Array) -> Flags:
+    """Return which readings (n,) come between a jump and one back, within SLIP_S.
+
+    Where the recording begins or ends with what is as brief, there is one jump: a chip tells the value it has
+    after power-on (85 degC) until it has measured.
+    """
+    out = _returned(t, readings)
+    kept = np.flatnonzero(~out)
+    jumped = _jumped(t[kept], readings[kept])
+    longest = min(SLIP_S, BRIEF * float(t[-1] - t[0]))
+    early, late = t[kept[jumped + 1]] - t[0] <= longest, t[-1] - t[kept[jumped]] <= longest
+    out[: kept[jumped[early] + 1].max(initial=0)] = True
+    out[kept[jumped[late]].min(initial=t.size) + 1 :] = True
+    return out
+
+
+def _jumped(t: Array, readings: Array) -> Index:
+    """Return after which of the readings (n,) the next one jumps."""
+    rises = np.diff(readings)
+    return np.flatnonzero(jumps(np.diff(t), rises, MAD_TO_SD * float(np.median(np.abs(rises)))))
+
+
+def _returned(t: Array, readings: Array) -> Flags:
     """Return which readings (n,) come between a jump and one back, within SLIP_S."""
     out = np.zeros(t.size, dtype=np.bool_)
-    rises = np.diff(readings)
-    before = np.flatnonzero(jumps(np.diff(t), rises, MAD_TO_SD * float(np.median(np.abs(rises)))))
+    before = _jumped(t, readings)
     for k, first in enumerate(before):
         if out[first]:
             continue

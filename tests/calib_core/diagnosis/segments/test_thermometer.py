@@ -170,6 +170,19 @@ def test_slips_of_a_thermometer_are_passed_over(shown: float) -> None:
     assert np.abs(reconstructed(T, slipping) - swinging()).max() < 0.02
 
 
+@pytest.mark.parametrize("part", [T < 3.0, T[-1] - T < 3.0, (T < 3.0) | (T[-1] - T < 3.0)])
+def test_what_a_chip_tells_before_it_has_measured_or_at_the_end_is_passed_over(part: np.ndarray) -> None:
+    found = reconstructed(T, np.where(part, 85.0, swinging()))
+    assert np.abs(found - swinging()).max() < 0.1
+
+
+def test_a_chamber_that_is_set_at_the_start_is_no_slip() -> None:
+    """Forty seconds at the first setting, and a short recording half of which is at either."""
+    for t, change in ((T, 40.0), (T[T < 40.0], 20.0)):
+        steps = np.where(t < change, 60.0, 25.0)
+        assert np.array_equal(reconstructed(t, steps), steps)
+
+
 def test_a_temperature_that_was_set_and_set_back_is_left_alone() -> None:
     set_to = np.where(T % 600.0 < 560.0, 20.0, 35.0)
     assert np.array_equal(reconstructed(T, set_to), set_to)
