@@ -176,9 +176,16 @@ def test_what_a_chip_tells_before_it_has_measured_or_at_the_end_is_passed_over(p
     assert np.abs(found - swinging()).max() < 0.1
 
 
+def test_a_chamber_that_is_set_time_and_again_has_no_slip() -> None:
+    """Levels of 29 s: each that was left out made the next one the first."""
+    t = T[T < 600.0]
+    steps = 20.0 + 12.0 * np.floor(t / 29.0)
+    assert np.array_equal(reconstructed(t, steps), steps)
+
+
 def test_a_chamber_that_is_set_at_the_start_is_no_slip() -> None:
-    """Forty seconds at the first setting, and a short recording half of which is at either."""
-    for t, change in ((T, 40.0), (T[T < 40.0], 20.0)):
+    """Forty seconds at the first setting, and short recordings a good part of which is at either."""
+    for t, change in ((T, 40.0), (T[T < 40.0], 20.0), (T[T < 100.0], 15.0)):
         steps = np.where(t < change, 60.0, 25.0)
         assert np.array_equal(reconstructed(t, steps), steps)
 
