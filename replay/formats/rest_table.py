@@ -142,16 +142,15 @@ def _columns(found: Path | Source) -> tuple[dict[str, _Values], list[str]]:
     lines = np.concatenate([b.lines for b in blocks])
     warm = np.array([column.quantity == "temperature" for column in wanted])
     values = np.where(warm & np.isnan(values), EMPTY, values)
-    bad = ~np.isfinite(values) | ((values == EMPTY) & ~warm)
-    if bad.any():
-        row, i = (int(k) for k in np.argwhere(bad)[0])
-        what = f"column {wanted[i].name!r} holds no finite number"
-        raise TraceError(path, what, "correct or delete that row", int(lines[row]))
     spread = np.array([column.quantity in (*FORCE_SCATTER, *RATE_SCATTER) for column in wanted])
-    if (below := spread & (values < 0.0)).any():
-        row, i = (int(k) for k in np.argwhere(below)[0])
-        what = f"column {wanted[i].name!r} holds a standard deviation below 0"
-        raise TraceError(path, what, "correct or delete that row", int(lines[row]))
+    for bad, held in (
+        (~np.isfinite(values) | ((values == EMPTY) & ~warm), "no finite number"),
+        (spread & (values < 0.0), "a standard deviation below 0"),
+    ):
+        if bad.any():
+            row, i = (int(k) for k in np.argwhere(bad)[0])
+            what = f"column {wanted[i].name!r} holds {held}"
+            raise TraceError(path, what, "correct or delete that row", int(lines[row]))
     found_columns = {c.quantity: _in_si(values[:, i], c) for i, c in enumerate(wanted)}
     if "temperature" in found_columns:
         celsius = found_columns["temperature"].si

@@ -1,8 +1,8 @@
 """AirSim's settings.json, corrected: noise of every IMU in it.
 
 Names and units are explained, with sources, in `stillcal.replay.export.targets.airsim`. A setting that is
-missing has AirSim's own value. JSON has no comments; the order of members stays, the
-spaces become those of this writer.
+missing has AirSim's own value. JSON has no comments; the order of members stays, the spaces become those of
+this writer.
 """
 
 from __future__ import annotations

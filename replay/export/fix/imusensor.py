@@ -1,8 +1,8 @@
 """MATLAB's imuSensor, corrected: assignments such as imu.Gyroscope.ConstantBias = [x y z]; in an .m file.
 
 Units, signs and the reference of 25 degC are explained, with sources, in
-`stillcal.replay.export.targets.imusensor`. Comments and everything else stay; a
-property that is missing is added below the sensor's other lines.
+`stillcal.replay.export.targets.imusensor`. Comments and everything else stay; a property that is missing is
+added below the sensor's other lines.
 """
 
 from __future__ import annotations
