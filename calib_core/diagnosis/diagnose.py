@@ -35,12 +35,13 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
-from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements, turn_statements
+from stillcal.calib_core.diagnosis.slow.findings import slow_statements, turn_statements
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
-from stillcal.calib_core.diagnosis.slow.turn_errors import turn_errors
-from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_residuals
-from stillcal.calib_core.diagnosis.slow.unsure_tilt import beyond, unsure_tilt
+from stillcal.calib_core.diagnosis.slow.turns.turn_errors import turn_errors
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_residuals
+from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging

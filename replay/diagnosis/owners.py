@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.diagnosis.words.names import noun

@@ -22,8 +22,9 @@ from stillcal.calib_core.diagnosis.segments.merged_rests import merged, rising
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched
-from stillcal.calib_core.diagnosis.slow.findings import Stated, statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
+from stillcal.calib_core.diagnosis.slow.standing import statements_of
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.static.rest import RestState
 from stillcal.calib_core.streams.samples import Samples, Sensor

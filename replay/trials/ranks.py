@@ -27,9 +27,9 @@ from stillcal.calib_core.diagnosis.inference.likelihood import highest
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
-from stillcal.calib_core.diagnosis.slow.findings import CHANCE
 from stillcal.calib_core.diagnosis.slow.screen import screened
 from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_residuals
+from stillcal.calib_core.diagnosis.slow.standing import CHANCE
 from stillcal.replay.blind_test.cases import make_case
 from stillcal.replay.blind_test.designs import Design
 from stillcal.replay.blind_test.world.noise import FAMILIES

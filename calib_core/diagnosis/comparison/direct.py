@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
-from stillcal.calib_core.diagnosis.slow.turn_errors import DRIVER as TURNS
+from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_JITTER
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_SHARE as LEAST_DROPPED

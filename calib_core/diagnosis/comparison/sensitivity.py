@@ -29,8 +29,8 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
-from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_residuals
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
 """Sizes are looked for from and up to so many times their prior's, to one part in 4000."""

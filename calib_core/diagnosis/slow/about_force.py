@@ -24,7 +24,8 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorRes
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.sensor_residuals import of_force
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
-from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements
+from stillcal.calib_core.diagnosis.slow.findings import slow_statements
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.taken_off import Known
 
 CHANCE = 1e-3

@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.moments import turning
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
-from stillcal.calib_core.diagnosis.slow.findings import Stated, sentence
+from stillcal.calib_core.diagnosis.slow.statement import Stated, sentence
 from stillcal.calib_core.streams.samples import Samples
 
 ROUNDS = 10

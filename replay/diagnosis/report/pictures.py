@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence import codes as own_code
 from stillcal.calib_core.diagnosis.sequence import lone_values, order, places, recurrence
 from stillcal.calib_core.diagnosis.sequence.stamps import FEW, LEAP, PATTERN
-from stillcal.calib_core.diagnosis.slow.turn_errors import DRIVER as TURNS
+from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock_wander import DRIVER as WANDERING
 from stillcal.replay.diagnosis.judged import Judged, bins_of
 from stillcal.replay.diagnosis.report import figures, sample_figures

@@ -12,10 +12,10 @@ from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 EARTH = 7.292e-5
 QUIET = {sensor: nulls.Wander() for sensor in nulls.WHITE}

@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.effects.warmup import Warmup
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.diagnosis.paired import less
 from stillcal.replay.formats.trace import Recording

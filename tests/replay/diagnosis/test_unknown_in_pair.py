@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.effects.unknown import Unknown
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.judged import examined

@@ -21,9 +21,9 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import effects, nulls
 from tests.support.diagnosis.effects import Put
+from tests.support.diagnosis.said import slow_findings
 
 Array = np.ndarray
 SIZES = (4.0, 6.0, 8.0, 12.0, 20.0)

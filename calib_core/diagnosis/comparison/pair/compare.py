@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrep
 from stillcal.calib_core.diagnosis.comparison.stated import axes_of
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 NOT_SOUGHT = "it is not looked for in a pair"
 

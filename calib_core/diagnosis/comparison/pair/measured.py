@@ -31,8 +31,8 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameter
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 SHIFTED = {
     "accel_bias_temperature": BIAS_SHIFTED,

@@ -10,7 +10,8 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.unknown import SHAKEN
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.findings import Stated, slow_statements
+from stillcal.calib_core.diagnosis.slow.findings import slow_statements
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 
 def examined_in_pair(

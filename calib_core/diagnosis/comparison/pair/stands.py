@@ -33,8 +33,8 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
-from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER, log_evidence
 
 WALK = "_bias_random_walk"

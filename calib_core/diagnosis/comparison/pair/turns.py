@@ -37,7 +37,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, parameters
-from stillcal.calib_core.diagnosis.slow.findings import Stated, named_axes
+from stillcal.calib_core.diagnosis.slow.statement import Stated, named_axes
 from stillcal.calib_core.streams.resample import temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 

@@ -19,8 +19,8 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_facto
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import wander
 
 

@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.comparison.of_samples import differences_of_s
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from tests.support.diagnosis.hours import Hour, made
 
 QUIET = {"accel": 1.5e-3, "gyro": 1.2e-4}

@@ -10,8 +10,8 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.model.moments import first_order
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow.findings import statements_of
 from stillcal.calib_core.diagnosis.slow.search import forward
+from stillcal.calib_core.diagnosis.slow.standing import statements_of
 from stillcal.calib_core.streams.time_series import TimeSeries
 from tests.support.diagnosis import nulls
 

@@ -10,8 +10,8 @@ from stillcal.calib_core.diagnosis.effects.curves import heating
 from stillcal.calib_core.diagnosis.model.moments import moments_of
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 
 def heated(largest: float) -> tuple[Bins, nulls.Day]:

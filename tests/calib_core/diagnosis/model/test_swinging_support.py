@@ -14,10 +14,12 @@ from stillcal.calib_core.diagnosis.model.rates import tilt_rate
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.turning_support import turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.findings import _along_gravity, _turns, slow_findings
+from stillcal.calib_core.diagnosis.slow.findings import _along_gravity
+from stillcal.calib_core.diagnosis.slow.standing import _turns
 from stillcal.calib_core.maths.rms import rms
 from tests.calib_core.diagnosis.slow.test_between_rest_variance import by_rest, short_rests
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 
 def moored(seed: int, family: str = "white") -> Bins:

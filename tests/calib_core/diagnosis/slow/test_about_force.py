@@ -13,8 +13,9 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorRes
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, about_point, searched
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings, slow_statements
+from stillcal.calib_core.diagnosis.slow.findings import slow_statements
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 AXES = np.array([1.0, -0.7, 0.5])
 SEED, RESTS = 1, 40

@@ -11,9 +11,9 @@ from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER, jumps
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_residuals
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 SIZE = np.array([6e-4, 6e-4, 6e-4])
 

@@ -21,15 +21,9 @@ from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, noth
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow import findings, search
+from stillcal.calib_core.diagnosis.slow import search, standing, statement
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
-from stillcal.calib_core.diagnosis.slow.findings import (
-    Stated,
-    _to_and_fro,
-    each_driver_once,
-    not_unknown_twice,
-    slow_findings,
-)
+from stillcal.calib_core.diagnosis.slow.findings import not_unknown_twice
 from stillcal.calib_core.diagnosis.slow.search import (
     Step,
     adequate,
@@ -38,7 +32,10 @@ from stillcal.calib_core.diagnosis.slow.search import (
     reduce_residuals,
     score,
 )
+from stillcal.calib_core.diagnosis.slow.standing import _to_and_fro, each_driver_once
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 
 def day_of(seed: int, rests: int = 20, seconds: int = 3600) -> tuple[np.random.Generator, nulls.Day]:
@@ -294,9 +291,9 @@ def test_a_second_effect_that_folds_call_otherwise_stays_without_its_name(
     residuals, sizes = two_steps(2)
 
     def chosen(_: object, own: tuple[search.Scored, object], rivals: object) -> int:
-        return findings.FOLDS if own[0].hypothesis.grid["t_start"] > 0.5 * SECONDS else 1
+        return statement.FOLDS if own[0].hypothesis.grid["t_start"] > 0.5 * SECONDS else 1
 
-    monkeypatch.setattr(findings, "_first_in", chosen)
+    monkeypatch.setattr(statement, "_first_in", chosen)
     found = slow_findings(residuals)
     assert sorted(f.effect for f in found) == ["accel_bias_step", "unknown"]
     assert sizes_in_time(found) == pytest.approx(np.array(sizes), abs=2e-3)
@@ -315,10 +312,10 @@ def test_where_two_steps_do_not_stand_together_the_first_is_tried_alone_before_i
     second = Step(scored("unknown", 10.0), ())
     tried = []
 
-    def standing(residuals: object, steps: list[Step]) -> list[str]:
+    def stands_so(residuals: object, steps: list[Step]) -> list[str]:
         tried.append([s.winner.hypothesis.effect.name for s in steps])
         return [stands] if tried[-1] == [stands] else []
 
-    monkeypatch.setattr(findings, "_standing", standing)
-    assert findings.statements_of(None, [first, second]) == [stands]
+    monkeypatch.setattr(standing, "_standing", stands_so)
+    assert standing.statements_of(None, [first, second]) == [stands]
     assert tried == [["named", "unknown"], ["named"], ["unknown"]][: 2 if stands == "named" else 3]

@@ -18,12 +18,12 @@ from stillcal.calib_core.diagnosis.model.records import Departure, Evidence, Fin
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import form
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
-from stillcal.calib_core.diagnosis.slow.findings import findings_of
 from stillcal.calib_core.diagnosis.slow.search import Scored, Step, compete, proposals
 from stillcal.calib_core.streams.time_series import TimeSeries
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.calib_core.diagnosis.slow.test_off_catalogue import QUIET, SECONDS, short_day
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import findings_of
 
 Array = np.ndarray
 SEED = 6

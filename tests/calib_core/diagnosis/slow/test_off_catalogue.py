@@ -19,7 +19,6 @@ from stillcal.calib_core.diagnosis.model.effect import Dictionary
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow.findings import findings_of, slow_findings
 from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
 from stillcal.calib_core.diagnosis.slow.search import (
     Scored,
@@ -32,6 +31,7 @@ from stillcal.calib_core.diagnosis.slow.search import (
 )
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import effects, nulls
+from tests.support.diagnosis.said import findings_of, slow_findings
 
 Array = np.ndarray
 QUIET = {sensor: nulls.Wander(pink=0.1 * white) for sensor, white in nulls.WHITE.items()}

@@ -12,9 +12,9 @@ from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned, as_read
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
-from stillcal.calib_core.diagnosis.slow.findings import Stated
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
-from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_residuals
+from stillcal.calib_core.diagnosis.slow.statement import Stated
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_residuals
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
 

@@ -9,9 +9,9 @@ from stillcal.calib_core.diagnosis.comparison.linear import Wanted, proposed
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings
 
 SLOPE, QUADRATIC = np.array([4e-4, 0.0, -2e-4]), np.array([8e-5, -6e-5, 0.0])
 

@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.replay.diagnosis.paired import less, mean_readings
 from stillcal.replay.diagnosis.witnesses import MISMATCH
 from tests.support.diagnosis.one_body import LENGTH, course, sensor

@@ -25,7 +25,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import (
 )
 from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.turn_residuals import turn_view
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_view
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 
 DRIVER = "turns from rest to rest"

@@ -11,11 +11,11 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned, cuts
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
-from stillcal.calib_core.diagnosis.slow.findings import slow_findings, turn_findings
 from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.calib_core.diagnosis.slow.test_off_catalogue import QUIET
 from tests.support.diagnosis import nulls
+from tests.support.diagnosis.said import slow_findings, turn_findings
 
 
 def accelerometer(crossed: float, ageing: float, scale: float) -> list[Finding]:

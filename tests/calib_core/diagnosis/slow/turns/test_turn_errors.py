@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
-from stillcal.calib_core.diagnosis.slow.turn_errors import DRIVER, turn_errors
+from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER, turn_errors
 from stillcal.calib_core.streams.samples import Samples
 from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
 

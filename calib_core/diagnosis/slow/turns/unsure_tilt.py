@@ -13,7 +13,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND
-from stillcal.calib_core.diagnosis.slow.findings import Stated
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 
 def unsure_tilt(stated: Sequence[Stated], gravity: float) -> float:

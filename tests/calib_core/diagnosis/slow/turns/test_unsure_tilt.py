@@ -12,8 +12,8 @@ from stillcal.calib_core.diagnosis import diagnose
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.slow.findings import Stated
-from stillcal.calib_core.diagnosis.slow.unsure_tilt import beyond, unsure_tilt
+from stillcal.calib_core.diagnosis.slow.statement import Stated
+from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded
