@@ -13,11 +13,11 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.direct import MEASURED_ELSEWHERE
 from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, shown_ratios
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared, p_of
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, vector
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Parameter
 from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS

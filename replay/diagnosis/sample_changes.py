@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import SHOWS_MORE
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
-from stillcal.calib_core.diagnosis.comparison.not_logged import SHOWS_MORE
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.model.records import AXES

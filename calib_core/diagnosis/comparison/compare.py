@@ -8,8 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison import noise, not_logged
-from stillcal.calib_core.diagnosis.comparison.assumed_drivers import driven, excluded, of_any_course
+from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
+from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import driven, excluded, of_any_course
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import (
+    checks_of,
+    direct_checks,
+    obstacle,
+    uninformed,
+    why_not_logged,
+)
+from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import (
+    Smallest,
+    each_once,
+    of_difference,
+    sought,
+)
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.linear import (
     SHIFTED,
@@ -22,14 +37,6 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     settled,
     wanted_of,
 )
-from stillcal.calib_core.diagnosis.comparison.looked_for import (
-    checks_of,
-    direct_checks,
-    obstacle,
-    uninformed,
-    why_not_logged,
-)
-from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differences_of_samples, in_neither
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
@@ -40,7 +47,6 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest, each_once, of_difference, sought
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import checks_of, slow_checks
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
 from stillcal.calib_core.diagnosis.comparison.linear import ALIKE_SCALE
-from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of, slow_checks
 from stillcal.calib_core.diagnosis.comparison.noise import density
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.records import (
@@ -23,7 +24,6 @@ from stillcal.calib_core.diagnosis.comparison.records import (
     Discrepancy,
     NotCompared,
 )
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.comparison.stated import is_sure, undecided_finding
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95

@@ -6,7 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison import noise, not_logged
+from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, direct_checks, obstacle
+from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import shows_as_large
 from stillcal.calib_core.diagnosis.comparison.direct import (
     ALIKE,
     MEASURED_ELSEWHERE,
@@ -17,8 +21,6 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     stamp_quantities,
     why_not_shown,
 )
-from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, direct_checks, obstacle
-from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
     Key,
@@ -27,7 +29,6 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
-from stillcal.calib_core.diagnosis.comparison.sensitivity import shows_as_large
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding

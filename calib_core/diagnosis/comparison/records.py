@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, Relation
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Departure, Finding, Where
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, STATEMENTS_TRUE
 

@@ -416,12 +416,6 @@ def log_sum(terms: Array) -> float:
     return top + float(np.log(np.exp(terms - top).sum()))
 
 
-def posterior_weights(view: Reduced) -> Array:
-    """Return the posterior probability (G,) of each shape with no further effect."""
-    terms = log_terms(view, view.left)
-    return np.asarray(np.exp(terms - log_sum(terms)))
-
-
 def gain_bound(views: Sequence[Reduced], h: int) -> float:
     """Return about the largest log likelihood that hypothesis `h` may have: every shape at its own best.
 

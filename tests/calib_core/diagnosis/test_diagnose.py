@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.looked_for import HARDLY, checks_of
-from stillcal.calib_core.diagnosis.comparison.sensitivity import sought
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import HARDLY, checks_of
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
 from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
-from stillcal.calib_core.diagnosis.comparison.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 

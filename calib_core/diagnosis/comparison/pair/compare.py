@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
-from stillcal.calib_core.diagnosis.comparison.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, none_of, taken_out
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.assumed_drivers import warmed
+from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import warmed
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity
 from stillcal.calib_core.diagnosis.comparison.linear import (
     Wanted,

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.direct import (
     pair_of,
     partner,
@@ -13,7 +14,6 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     same_step,
     stamp_quantities,
 )
-from stillcal.calib_core.diagnosis.comparison.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
 from stillcal.calib_core.diagnosis.model.records import Finding

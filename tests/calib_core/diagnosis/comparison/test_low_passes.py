@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.looked_for import direct_checks
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import direct_checks
 from stillcal.calib_core.diagnosis.comparison.noise import low_passes, why_not_measured
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine

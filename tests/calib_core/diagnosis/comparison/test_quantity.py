@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import of_difference
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Part,
     Quantity,
@@ -16,7 +17,6 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import LEAST_JUDGED, Comparison, NotCompared, p_of
-from stillcal.calib_core.diagnosis.comparison.sensitivity import of_difference
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 

@@ -15,7 +15,7 @@ from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis.effects.by_force import distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat
-from stillcal.calib_core.diagnosis.inference.likelihood import null_log_likelihood, posterior_weights
+from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, log_terms, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
@@ -163,7 +163,8 @@ def test_shapes_find_the_wander_that_was_put_in() -> None:
         residuals = by_sensor(nulls.bins_of(rng, day, family), nulls.G)[1]
         reduced = reduce_residuals(residuals, [nothing(residuals)])
         assert np.isfinite(null_log_likelihood(reduced))
-        return float(posterior_weights(reduced[0]) @ reduced[0].walk) / (0.05 * nulls.WHITE["gyro"]) ** 2
+        terms = log_terms(reduced[0], reduced[0].left)
+        return float(np.exp(terms - log_sum(terms)) @ reduced[0].walk) / (0.05 * nulls.WHITE["gyro"]) ** 2
 
     assert walking("white") < 0.1
     assert 1 / 3 < walking("walk_strong") < 3.0

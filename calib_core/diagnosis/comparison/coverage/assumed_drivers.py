@@ -13,8 +13,8 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, linear_quantities, proposed
-from stillcal.calib_core.diagnosis.comparison.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias

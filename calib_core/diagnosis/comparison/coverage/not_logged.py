@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import OF_TIME, why_not_logged
 from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, Wanted, kind_of, moved_rows
-from stillcal.calib_core.diagnosis.comparison.looked_for import OF_TIME, why_not_logged
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import differs, key_of

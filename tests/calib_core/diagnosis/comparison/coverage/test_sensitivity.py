@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.sensitivity import sought
+from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.model.records import Claims

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison import not_logged
+from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
