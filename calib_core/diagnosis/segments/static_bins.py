@@ -207,7 +207,7 @@ class RestEdges:
         a bin; bins that become too brief are left out. start: s, the first window's.
         """
         first, last = self.first.copy(), self.last.copy()
-        for event in events:
+        for event in _plugs(events):
             low, high = np.floor((event.t - PLUG_LATE - start) / WINDOW), np.ceil((event.t - start) / WINDOW)
             touched = (first < high) & (last > low)
             at_end = low - first >= last - high
@@ -437,11 +437,17 @@ def _bin_temperatures(readings: Array | None, t_start: float, first: Array, last
     return _bin_means(at_windows[:, None], first, last)[:, 0]
 
 
+def _plugs(events: Sequence[Charging]) -> list[Charging]:
+    """Return the events at which the charger came or went, in time order: some logs tell its state again."""
+    told = sorted((e for e in events if isinstance(e, Charging)), key=lambda e: e.t)
+    return [e for k, e in enumerate(told) if k == 0 or e.on != told[k - 1].on]
+
+
 def _charging(
     events: Sequence[Charging], span: tuple[float, float], first: Array, last: Array
 ) -> dict[str, Array | None]:
     """Return charging per bin and (m, 2) switching times; before the first event its opposite held."""
-    plugs = sorted((e for e in events if isinstance(e, Charging)), key=lambda e: e.t)
+    plugs = _plugs(events)
     if not plugs:
         return {"charging": None, "charging_switches": None}
     times = np.array([span[0], *(e.t for e in plugs)])

@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.diagnosis.clear_bins import roughened
 from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
-from stillcal.calib_core.diagnosis.segments.static_bins import PLUG_LATE, cut
+from stillcal.calib_core.diagnosis.segments.static_bins import RestEdges, cut
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -68,4 +68,30 @@ def test_bins_end_before_a_plug_may_have_come_and_begin_after_its_event() -> Non
     assert bins.charging is not None and set(bins.charging) == {0.0, 1.0}
     starts, ends = bins.t - bins.duration / 2.0, bins.t + bins.duration / 2.0
     for s in SWITCHES:
-        assert not ((starts < s) & (ends > s - PLUG_LATE)).any()
+        assert not ((starts < s) & (ends > s - 3.0)).any()
+
+
+def test_an_event_that_tells_the_plug_again_cuts_nothing_off() -> None:
+    """A log that told it every five seconds left no bin."""
+    accelerometer, gyroscope, events = plugged(0.0)
+    again = [Charging(t, bool(np.searchsorted(SWITCHES, t) % 2)) for t in np.arange(302.5, 2400.0, 5.0)]
+    bins, expected = cut(accelerometer, gyroscope, [*events, *again]), cut(accelerometer, gyroscope, events)
+    assert np.array_equal(bins.t, expected.t) and np.array_equal(bins.duration, expected.duration)
+    assert np.array_equal(bins.charging, expected.charging)
+    assert np.array_equal(bins.charging_switches, expected.charging_switches)
+
+
+@pytest.mark.parametrize(("left", "kept"), [(4, True), (3, False)])
+def test_what_a_plug_leaves_of_a_bin_must_tell_its_noise(left: int, kept: bool) -> None:
+    """Rests of a few seconds that no plug touches are kept, however brief."""
+    edges = RestEdges(
+        still=np.ones(40, dtype=np.bool_),
+        runs=[(0, 2), (10, 17), (20, 30)],
+        first=np.array([0.0, 10.0, 20.0]),
+        last=np.array([2.0, 17.0, 30.0]),
+        rest=np.arange(3),
+    )
+    found = edges.beside_plugs([Charging(113.4 + left, True), Charging(122.4, False)], 100.0)
+    assert found.first.tolist() == ([0.0, 10.0, 23.0] if kept else [0.0, 23.0])
+    assert found.last.tolist() == ([2.0, 10.0 + left, 30.0] if kept else [2.0, 30.0])
+    assert found.rest.tolist() == ([0, 1, 2] if kept else [0, 2])
