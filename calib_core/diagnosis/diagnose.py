@@ -261,8 +261,9 @@ def _with_tilts(exam: Examination, seconds: Overview, spoiled: Sequence[Span]) -
     """Return an examination with what gravity's direction does that the gyroscope does not, unless explained.
 
     What a sensor is found to do without a name may be the cause, and is stated already: the accelerometer's
-    bias where gravity jumps, the gyroscope too where turns are missed. A step that has a name explains the
-    jump at its moment, which is told to a bin. spoiled: when readings are no measurement.
+    bias where gravity jumps, the gyroscope too where turns are missed. A step that has a name, or a bias
+    while charging, explains the jumps at its moments, which are told to a bin. spoiled: when readings are no
+    measurement.
     """
     nameless = [s.finding for s in exam.statements if s.finding.effect == "unknown"]
     slow = {f.sensor for f in nameless if f.where.band_hz == SLOW_BAND}
@@ -282,8 +283,11 @@ def _with_tilts(exam: Examination, seconds: Overview, spoiled: Sequence[Span]) -
 def _of_steps(exam: Examination) -> list[Span]:
     """Return when steps of the accelerometer's bias are, s, a bin on either side."""
     own = [s.hypothesis for s in exam.statements if s.finding.sensor == "accel" and s.hypothesis is not None]
-    told = float(exam.bins.duration.max(initial=0.0))
-    return [(h.grid["t_start"] - told, h.grid["t_start"] + told) for h in own if "t_start" in h.grid]
+    told, switches = float(exam.bins.duration.max(initial=0.0)), exam.bins.charging_switches
+    moments = [h.grid["t_start"] for h in own if "t_start" in h.grid]
+    if switches is not None and any(h.effect.follows == "charging" for h in own):
+        moments += switches[1:, 0].tolist()  # the first is the start of the recording
+    return [(t - told, t + told) for t in moments]
 
 
 def _turn_errors(exam: Examination) -> Finding | None:

@@ -9,6 +9,7 @@ from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER, MISSED, unseen_tilt
 from stillcal.calib_core.diagnosis.segments.static_bins import cut, overview_of
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.diagnosis.test_true_motion import on_foam
 
@@ -94,6 +95,22 @@ def test_the_diagnosis_states_it_once() -> None:
     found = diagnose(*lying(3, 0.02, 0.0)).findings
     assert [(f.effect, f.sensor, f.where.driver) for f in found] == [("unknown", "accel", DRIVER)]
     assert "2 times" in found[0].statement
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_a_bias_while_charging_is_not_told_as_jumps_besides(told: bool) -> None:
+    """It turned gravity by 0.2 degrees at each plug, and was unknown as well. Events come a second late."""
+    rng, t = np.random.default_rng(4), np.arange(0.0, 1200.0, 1.0 / RATE)
+    plugs = np.array([150.0, 310.0, 500.0, 720.0, 810.0, 1010.0])
+    charging = np.searchsorted(plugs, t, side="right") % 2
+    force = [0.0, 0.0, G] + np.outer(charging, [0.03, -0.02, 0.02]) + 0.01 * rng.normal(size=(t.size, 3))
+    rate = 1e-3 * rng.normal(size=(t.size, 3))
+    found = diagnose(
+        Samples.checked(Sensor.ACCELEROMETER, t, force),
+        Samples.checked(Sensor.GYROSCOPE, t, rate),
+        [Charging(s + 1.0, k % 2 == 0) for k, s in enumerate(plugs)] if told else [],
+    ).findings
+    assert [f.effect for f in found] == ["accel_charging_bias" if told else "unknown"]
 
 
 def test_a_turn_that_no_bias_makes_is_one_that_the_gyroscope_missed() -> None:
