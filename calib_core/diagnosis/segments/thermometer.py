@@ -107,15 +107,16 @@ def reconstructed(t: Array, readings: Array) -> Array:
 def _slipped(t: Array, readings: Array) -> Flags:
     """Return which readings (n,) come between a jump and one back, within SLIP_S.
 
-    Where the recording begins or ends with what is as brief, there is one jump: a chip tells the value it has
-    after power-on (85 degC) until it has measured. What jumps elsewhere as well was set, in a chamber.
+    Nothing comes back where the recording begins or ends with what is as brief: a chip tells the value it has
+    after power-on (85 degC), and maybe another one, until it has measured. What jumps elsewhere as well was
+    set, in a chamber.
     """
     out = _returned(t, readings)
     kept = np.flatnonzero(~out)
     jumped = _jumped(t[kept], readings[kept])
     longest = min(SLIP_S, BRIEF * float(t[-1] - t[0]))
     early, late = t[kept[jumped + 1]] - t[0] <= longest, t[-1] - t[kept[jumped]] <= longest
-    if early.sum() <= 1 and late.sum() <= 1 and (early | late).all():
+    if (early | late).all():
         out[: kept[jumped[early] + 1].max(initial=0)] = True
         out[kept[jumped[late]].min(initial=t.size) + 1 :] = True
     return out

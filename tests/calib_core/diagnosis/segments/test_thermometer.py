@@ -176,6 +176,31 @@ def test_what_a_chip_tells_before_it_has_measured_or_at_the_end_is_passed_over(p
     assert np.abs(found - swinging()).max() < 0.1
 
 
+def test_a_chip_may_tell_two_values_before_it_has_measured() -> None:
+    found = reconstructed(T, np.where(T < 2.0, 85.0, np.where(T < 4.0, 0.0, swinging())))
+    assert np.abs(found - swinging()).max() < 0.1
+
+
+def test_a_tenth_of_a_recording_may_be_what_a_chip_tells_before_it_has_measured() -> None:
+    t, truth = T[T < 40.0], swinging()[T < 40.0]
+    assert np.abs(reconstructed(t, np.where(t < 3.0, 85.0, truth)) - truth).max() < 0.1
+
+
+def test_readings_that_scatter_do_not_slip() -> None:
+    readings = noisy(swinging(), 2.0)
+    assert np.array_equal(reconstructed(T, readings), readings)
+
+
+@pytest.mark.parametrize(("every", "passed"), [(30, True), (31, False)])
+def test_a_first_reading_lasts_to_the_next_and_a_last_one_from_that_before(every: int, passed: bool) -> None:
+    t = np.arange(0.0, 1800.0, every)
+    for wrong in (0, -1):
+        readings = 20.0 + 0.01 * np.arange(t.size)
+        truth = readings.copy()
+        readings[wrong] = 85.0
+        assert bool(np.abs(reconstructed(t, readings) - truth).max() < 0.02) is passed
+
+
 def test_a_chamber_that_is_set_time_and_again_has_no_slip() -> None:
     """Levels of 29 s: each that was left out made the next one the first."""
     t = T[T < 600.0]
