@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.segments.windows import (
 )
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.time_series import TimeSeries
 
 Index = NDArray[np.int64]
 
@@ -431,10 +432,8 @@ def _readings(samples: Samples) -> Array | None:
 def _bin_temperatures(readings: Array | None, t_start: float, first: Array, last: Array) -> Array | None:
     if readings is None or len(readings) < 2 or first.size == 0:
         return None
-    t, temperature = readings.T
-    grid = t_start + (np.arange(int(last.max())) + 0.5) * WINDOW
-    at_windows = np.interp(grid, t, reconstructed(t, temperature))
-    return _bin_means(at_windows[:, None], first, last)[:, 0]
+    course = TimeSeries(readings[:, 0], reconstructed(*readings.T))
+    return course.mean(t_start + (first + last) * 0.5 * WINDOW, (last - first) * WINDOW)
 
 
 def _plugs(events: Sequence[Charging]) -> list[Charging]:
