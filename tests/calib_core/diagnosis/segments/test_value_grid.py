@@ -32,10 +32,11 @@ def test_noise_that_reaches_no_third_code_leaves_all_of_the_error() -> None:
     assert error == pytest.approx(STEP / np.sqrt(12.0), rel=0.1)
 
 
-def test_a_few_rests_in_which_the_bias_goes_from_code_to_code_tell_no_noise() -> None:
+@pytest.mark.parametrize("apart", [0.25, 1.0])
+def test_a_few_rests_in_which_the_bias_goes_from_code_to_code_tell_no_noise(apart: float) -> None:
     """Two of 32, weighed by what they show, made a noise of 0.2 steps one of half a step."""
     mean, variance = rests(0.2, [0.1, 3.3, 5.9, 8.0] * 8)
-    variance[:2] += (0.25 * STEP) ** 2 * np.array([[1.0], [4.0]])
+    variance[:2] += (apart * STEP) ** 2 * np.array([[1.0], [4.0]])
     expected = STEP / np.pi / np.sqrt(2.0) * np.exp(-2.0 * (np.pi * 0.2) ** 2)
     assert rounding_error(mean, variance, np.full(3, STEP)) == pytest.approx(expected, rel=0.25)
 
