@@ -121,7 +121,8 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
         + _when_settled(finding)
         + _two_sided(finding, names[1])
     )
-    text += _undistinguished(finding) + _departing(finding) + _exchanged(finding) + _when(finding)
+    text += _together(finding) + _undistinguished(finding) + _departing(finding)
+    text += _exchanged(finding) + _when(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -174,6 +175,14 @@ def _two_sided(finding: Mapping[str, Any], simulation: str) -> str:
     return (
         " A claimed density that is meant for a two-sided spectrum, √2 below a one-sided one, looks the same."
     )
+
+
+def _together(finding: Mapping[str, Any]) -> str:
+    """Return that a named effect is sure and its sizes are not, where no axis shows it by itself; else ""."""
+    sizes = finding["difference"].values()
+    if finding["effect"] == "unknown" or not sizes or any(_apart(p) for p in sizes):
+        return ""
+    return " On each axis by itself it may be nothing, but not on all of them together."
 
 
 def _undistinguished(finding: Mapping[str, Any]) -> str:

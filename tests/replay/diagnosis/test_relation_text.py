@@ -110,6 +110,24 @@ def test_a_matrix_without_a_clear_element_shows_its_largest() -> None:
     assert "z by z 6.00 ± 0.30 " in text and "(1 of 9 elements)" in text
 
 
+@pytest.mark.parametrize(("half", "told_so"), [(4e-3, True), (5e-4, False)])
+def test_sizes_that_are_sure_only_together_say_so(half: float, told_so: bool) -> None:
+    value = [1e-3, 2e-4, -2e-4]
+    sizes = {"value": value, "ci95": [[v - half, v + half] for v in value], "unit": "1/(m/s^2)"}
+    finding = {
+        "effect": "accel_nonlinearity",
+        "sensor": "accel",
+        "axes": ["x"],
+        "relation": "lacking",
+        "alternatives": [],
+        "parameters": {"quadratic": sizes},
+        "simulated": {},
+        "difference": {"quadratic": sizes},
+    }
+    said = statement(finding, ("real.csv", "sim.csv"))
+    assert ("it may be nothing, but not on all of them together" in said) == told_so
+
+
 def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:
     scale, misalignment = [0.1, 0.1, 0.1], [0.0, 2.0, 0.0]
     text = told(
