@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
@@ -84,7 +84,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     at_rest = None if still is None or not len(still) else np.median(still, axis=0)
     motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest)
     true = motion.readings
-    bins, sensors = pair_residuals(less(own, true), true, charging_events(recording), 0.0, motion.added)
+    apart, charging = less(own, true), charging_events(recording)
+    bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=rounding(exams))
     exam = examined_in_pair(recorded, bins, sensors, motion.found, lambda done: show_stage(READINGS, done))
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
     slow = with_owner_of_unknown(slow, exam, recorded, simulated)
@@ -107,6 +108,14 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
     answer = answer_of(before, names, fit, stated, exam.bins.temperature)
     return Judged(recording, exam, simulated, before, None, None, answer)
+
+
+def rounding(exams: Sequence[Examination]) -> dict[str, Array]:
+    """Return, by sensor, the sd (3,) that coarse steps of two recordings leave in a mean difference."""
+    out: dict[str, Array] = {}
+    for stream in (s for exam in exams for s in exam.streams):
+        out[stream.sensor] = np.hypot(out.get(stream.sensor, np.zeros(3)), stream.steps.left_in_mean())
+    return out
 
 
 def _alike(

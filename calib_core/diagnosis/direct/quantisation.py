@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.segments.value_grid import COMB_SAMPLES, UNIT, comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import COMB_SAMPLES, ROUNDED, UNIT, comb_step
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
@@ -75,6 +75,10 @@ class Steps:
     def hides_noise(self) -> bool:
         """Whether the noise does not even dither the steps, so that its spectrum cannot be seen."""
         return self.over_noise() > HIDDEN
+
+    def left_in_mean(self) -> Array:
+        """Return the sd (3,) of the error that steps leave in a mean at most; 0 where noise dithers them."""
+        return self.step / ROUNDED if self.blurs_level() else np.zeros(3)
 
     def dithered(self) -> bool:
         """Whether single samples show the noise's tails (`FINE`)."""

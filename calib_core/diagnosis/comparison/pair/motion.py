@@ -51,16 +51,30 @@ class Motion:
         """Return residuals whose bins in motion have this variance besides."""
         return with_excess(residuals, self.variance)
 
+    def beyond(self, rounding: Array) -> Motion:
+        """Return it on the axes where it is more than coarse steps leave in a mean, sd (3,).
+
+        They leave less in motion than at rest, but of a shaking that beats with the samples no less.
+        """
+        more = self.variance > rounding**2
+        evidence = np.where(more, self.log_bayes_factors, np.minimum(self.log_bayes_factors, 0.0))
+        return Motion(np.where(more, self.variance, 0.0), evidence)
+
     def finding(self, residuals: SensorResiduals) -> Finding | None:
-        """Return what is left in motion as something unknown; None where chance leaves as much."""
+        """Return what is left in motion as something unknown; None where chance or steps leave as much."""
+        bins = residuals.bins
+        rounding = bins.force_rounding if residuals.sensor == "accel" else bins.rate_rounding
+        own = self if rounding is None else self.beyond(rounding)
+        if not own.variance.any():
+            return None
         return direct_finding(
             "unknown",
             residuals.sensor,
-            [int(a) for a in np.flatnonzero(self.variance > 0.0)],
-            Where(*residuals.bins.span, SLOW_BAND, "motion"),
-            sized({"rms": (np.sqrt(self.variance).tolist(), UNIT[residuals.sensor])}),
+            [int(a) for a in np.flatnonzero(own.variance > 0.0)],
+            Where(*bins.span, SLOW_BAND, "motion"),
+            sized({"rms": (np.sqrt(own.variance).tolist(), UNIT[residuals.sensor])}),
             statement=only_unknown(f"({NAME[residuals.sensor]})", "motion"),
-            seen=DirectEvidence(self.log_bayes_factor),
+            seen=DirectEvidence(own.log_bayes_factor),
         )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,6 +33,8 @@ def pair_residuals(
     events: Sequence[Charging],
     mismatch: float,
     added: Readings | None = None,
+    *,
+    rounding: Mapping[str, Array] | None = None,
 ) -> tuple[Bins, list[SensorResiduals]]:
     """Return the bins of a whole recording and the residuals of each sensor.
 
@@ -40,7 +42,8 @@ def pair_residuals(
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
     which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
     where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
-    their form. Where the motion is the same (mismatch 0) the other may lack the Earth's rotation. Raises
+    their form. rounding: by sensor, the sd (3,) that coarse steps leave in a mean of what they differ by.
+    Where the motion is the same (mismatch 0) the other may lack the Earth's rotation. Raises
     NotSupported where it is too short.
     """
     t = difference.force.t
@@ -54,7 +57,15 @@ def pair_residuals(
         raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
     known = None if added is None else cut_all(added.force, added.rate, events, span)
     powers = {p: cut_all(_power(true.force, p), true.rate, events, span).force for p in FEWEST_OF_DEGREE}
-    bins = replace(left, force=moved.force, rate=moved.rate, vibration=moved.vibration)
+    coarse = rounding or {}
+    bins = replace(
+        left,
+        force=moved.force,
+        rate=moved.rate,
+        vibration=moved.vibration,
+        force_rounding=coarse.get("accel"),
+        rate_rounding=coarse.get("gyro"),
+    )
     up = moved.force / STANDARD
 
     def residuals(

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.motion import Motion, left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
-from stillcal.replay.diagnosis.paired import less, mean_readings
-from tests.support.diagnosis.turned_pairs import REST, Flaw, perfect, turned
+from stillcal.replay.diagnosis.judged import examined
+from stillcal.replay.diagnosis.paired import less, mean_readings, rounding
+from stillcal.replay.formats.trace import Recording
+from tests.support.diagnosis.turned_pairs import RATE, REST, Flaw, perfect, turned
 
 SCALE = np.eye(3) + np.array([[0.01, 0.004, 0.0], [0.0, -0.02, 0.0], [0.003, 0.0, 0.01]])
 
@@ -83,3 +87,41 @@ def test_motion_is_not_judged_without_rests_and_not_of_a_witness() -> None:
     assert all(
         left_in_motion(residuals) is None for residuals in by_sensor(other_gain_for_positive_rates, rest=1.0)
     )
+
+
+def hovering(force: Array, rate: Array) -> tuple[Array, Array]:
+    """Return the force of a level device that sways slowly over a few coarse steps."""
+    t, moves = np.arange(len(force)) / RATE, np.linalg.norm(rate, axis=1) > 0.05
+    sway = 0.3 * moves[:, None] * np.sin(2.0 * np.pi * t[:, None] / np.array([11.0, 13.0, 17.0]))
+    return sway + np.array([0.02, -0.03, 9.81]), rate
+
+
+def hovering_with_bias(force: Array, rate: Array) -> tuple[Array, Array]:
+    force, rate = hovering(force, rate)
+    return force + np.array([0.02, -0.02, 0.02]), rate
+
+
+def in_steps(recording: Recording, step: float) -> Recording:
+    own = recording.accelerometer
+    return replace(recording, accelerometer=replace(own, xyz=frozen(np.rint(own.xyz / step) * step)))
+
+
+def test_what_coarse_steps_leave_of_a_motion_is_no_difference_of_the_sensors() -> None:
+    both = [in_steps(turned(seed, flaw), 0.08) for seed, flaw in ((1, hovering_with_bias), (101, hovering))]
+    true = mean_readings(both[0], both[1:])
+    apart = less(both[0], true)
+    steps = rounding([examined(one, sought=()) for one in both])
+    for known, stated in ((steps, False), (None, True)):
+        (accel, _) = pair_residuals(apart, true, [], 0.0, rounding=known)[1]
+        assert (judged(accel).finding(accel) is not None) is stated
+
+
+def test_more_than_coarse_steps_leave_is_found_on_its_axes() -> None:
+    (accel, _) = by_sensor(rate_in_force)
+    sizes = np.sqrt(judged(accel).variance)
+    limits = sizes * np.array([0.5, 2.0, 0.5])
+    said = judged(accel).finding(replace(accel, bins=replace(accel.bins, force_rounding=limits)))
+    assert said is not None
+    assert said.axes == ["x", "z"]
+    all_lower = replace(accel, bins=replace(accel.bins, force_rounding=2.0 * sizes))
+    assert judged(accel).finding(all_lower) is None
