@@ -304,7 +304,9 @@ def _rows(turns: list[Turn], norms: Norms, x: Array, mapping: Array) -> tuple[Ar
     y = np.concatenate([t.across() @ t.miss for t in turns])
     accel = np.concatenate([t.across() @ t.unsure for t in turns])
     gyro = np.concatenate([t.across() @ t.scale_columns() for t in turns])
-    spread = max(MAD_TO_SD * float(np.median(np.abs(y))), 1e-5)
+    # The gyroscope's parameters are fitted to the turns, and leave less than their noise.
+    smaller = np.sqrt(1.0 - GYRO_PRIOR.size / y.size)
+    spread = max(MAD_TO_SD * float(np.median(np.abs(y))) / smaller, 1e-5)
     weight = (np.minimum(1.0, TRUSTED * spread / np.maximum(np.abs(y), 1e-12)) ** 0.5 / spread)[:, None]
     rows, target = norms.rows(x)
     usual = GYRO_PRIOR * (np.eye(3) - np.linalg.inv(mapping)).ravel()

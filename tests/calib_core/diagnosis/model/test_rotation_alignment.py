@@ -22,13 +22,13 @@ GYRO = np.array([[1.02, 0.004, 0.0], [-0.006, 0.99, 0.003], [0.0, 0.002, 1.015]]
 
 
 @cache
-def day() -> tuple[Samples, Samples, Array]:
-    """Forty rests of 25 s in eight attitudes, a turn of 4 s between; and gravity (n, 3)."""
-    rng = np.random.default_rng(2)
+def day(seed: int = 2, rests: int = 40) -> tuple[Samples, Samples, Array]:
+    """Return rests of 25 s in eight attitudes, a turn of 4 s between; and gravity (n, 3)."""
+    rng = np.random.default_rng(seed)
     places = [Rotation.from_rotvec(v) for v in rng.normal(0.0, 0.8, (8, 3))]
     rates, n = [], round(25 * RATE)
     now = places[0]
-    for _ in range(40):
+    for _ in range(rests):
         target = places[rng.integers(8)]
         swell = np.sin(np.pi * (np.arange(round(4 * RATE)) + 0.5) / (4 * RATE)) ** 2
         turn = (now.inv() * target).as_rotvec()
@@ -61,6 +61,19 @@ def test_few_attitudes_and_turns_tell_gravity_and_the_gyroscope() -> None:
     frame = rotation.as_matrix()
     assert np.abs(made.mapping @ GYRO @ frame.T - frame.T).max() < 3e-3
     assert max(float(np.linalg.norm(t.miss)) for t in made.turns) < 5e-3
+
+
+def test_what_few_turns_leave_unknown_of_the_gyroscopes_scale_holds_what_they_miss() -> None:
+    """They missed by 2.8 times their error: what a fit of nine numbers leaves is less than the noise."""
+    missed = []
+    for seed in range(16):
+        accelerometer, gyroscope, _ = day(seed, 13)
+        made = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+        if made.errors is not None and len(made.turns) <= 12:
+            error = np.diag(made.mapping @ GYRO - np.eye(3))
+            missed.append(error / np.linalg.norm(made.errors[[9, 13, 17]], axis=1))
+    assert len(missed) > 10
+    assert 0.7 < np.sqrt(np.mean(np.square(missed))) < 1.4
 
 
 @pytest.mark.parametrize("factor", [0.25, 8.0])
