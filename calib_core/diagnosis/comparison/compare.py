@@ -53,7 +53,7 @@ from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.records import Alternative, Finding
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -109,18 +109,24 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
 def _named_by(other: Examination, own: Examination) -> Examination:
     """Return an examination without what has no name but may be an effect that the other one has by name.
 
-    It is measured as that effect then, and compared: beside a curve that may take any course, neither would
-    be known.
+    That is one which cannot be told from it, or which foretells what was left out at least as well. It is
+    measured and compared as that effect: beside a curve that may take any course, neither would be known.
     """
     named = {(s.finding.effect, s.finding.sensor) for s in other.statements if s.finding.effect != "unknown"}
 
     def is_named(finding: Finding) -> bool:
-        alike = {(a.effect, finding.sensor) for a in finding.alternatives if a.indistinguishable}
+        alike = {(a.effect, finding.sensor) for a in finding.alternatives if _foretells(a, finding)}
         return finding.effect == "unknown" and not named.isdisjoint(alike)
 
     kept = [s for s in own.statements if not is_named(s.finding)]
     # As it is, it keeps what was worked out of it.
     return own if len(kept) == len(own.statements) else replace(own, statements=kept)
+
+
+def _foretells(name: Alternative, found: Finding) -> bool:
+    """Whether a name explains what was left out as well as what was stated, or cannot be told from it."""
+    stated = found.evidence.heldout_log_score_gain
+    return name.indistinguishable or (stated is not None and name.heldout_log_score_gain >= stated)
 
 
 def _without(wanted: Sequence[Wanted], missing: Sequence[NotLogged]) -> list[Wanted]:

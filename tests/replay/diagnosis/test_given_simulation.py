@@ -112,14 +112,19 @@ def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relatio
     assert 0.95 < finding["probability"] < 0.98 and "sim.csv" in finding["statement"]
 
 
-@pytest.mark.parametrize("of_recording", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_what_may_be_the_effect_that_the_other_one_names_is_compared_as_that(of_recording: bool) -> None:
+@pytest.mark.parametrize(
+    ("of_recording", "foretold", "indistinguishable"),
+    [pytest.param(False, 1.0, True, marks=pytest.mark.slow), (True, 1.0, True), (True, 1e6, False)],
+)
+def test_what_may_be_the_effect_that_the_other_one_names_is_compared_as_that(
+    of_recording: bool, foretold: float, indistinguishable: bool
+) -> None:
     """A curve without a name beside it left its size unknown in SIM, which had it and was told it has not."""
     exams = [examination(real()), examination(simulated(1.5))]
     own = exams[not of_recording]
     (residuals,) = own.sensors
     (nameless,) = slow_statements(residuals, without=["accel_bias_temperature"])
-    may_be = (Alternative("accel_bias_temperature", 1.0, True),)
+    may_be = (Alternative("accel_bias_temperature", foretold, indistinguishable),)
     finding = replace(nameless.finding, effect="unknown", alternatives=may_be)
     exams[not of_recording] = replace(own, statements=[replace(nameless, finding=finding)])
     (found,) = compare(*exams, ("real.csv", "sim.csv")).discrepancies
