@@ -24,7 +24,7 @@ def of_stamps(samples: Samples) -> dict[str, Measured]:
     grid = _grid(samples)
     if grid is None:
         return {}
-    out = {"dropped_samples": grid.missing().log(stamps.LEAST_SHARE)}
+    out = {"dropped_samples": grid.missing().log(stamps.LEAST_SHARE)} if grid.told else {}
     sigma = grid.jitter()
     if sigma is not None:
         relative = Measured(sigma.value / grid.period, sigma.error / grid.period)

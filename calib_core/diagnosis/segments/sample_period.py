@@ -47,30 +47,43 @@ def bunched(t: Array) -> bool:
 ON_STEPS = 1e-3
 """Usual intervals by which each interval may be off a multiple of it, where stamps are rounded to as much."""
 
-PARTS, IN_PART = 20, 5
-"""Parts, of some long intervals each, that are enough to tell whether these come evenly."""
+PAIRS, IN_PART = 10, 5
+"""Pairs of parts, of some gaps each on average, that are enough to tell whether these come evenly."""
 
-EVENLY = 0.25
-"""Variance of the long intervals in a part over their number: at least one where losses come by chance."""
+CHANCE = 0.01
+"""Chance by which losses may seem to come more evenly than they do: nothing is said of them then."""
+
+
+def more_even_than_chance(lost: Array) -> bool:
+    """Whether the samples lost (n,) after each sample come more evenly than any that are lost by chance.
+
+    The rounding of stamps, or a wrong period, makes such gaps, and nothing is lost in them. Losses by chance
+    have binomial counts, or more uneven ones where they gather. Each part is held against the next one, so
+    that losses may become more or fewer.
+    """
+    from scipy.special import chdtr  # noqa: PLC0415 - the daemon stays light
+
+    gaps = np.sign(lost)
+    share, pairs = abs(float(gaps.mean())), int(abs(gaps.sum())) // (2 * IN_PART)
+    if pairs < PAIRS or share >= 1.0:
+        return False
+    counts = np.add.reduceat(gaps, np.arange(2 * pairs) * gaps.size // (2 * pairs))
+    variance = gaps.size / (2.0 * pairs) * share * (1.0 - share)
+    return float(chdtr(pairs, ((counts[1::2] - counts[::2]) ** 2).sum() / (2.0 * variance))) < CHANCE
 
 
 def rounded_to_intervals(t: Array) -> bool:
     """Whether stamps t (n,) are rounded to steps as long as the usual interval, as 833 Hz in ms.
 
-    Some intervals are then twice as long (or nothing, where the rate is higher than the steps'), and come as
-    evenly as a clock has them. Those of lost samples come by chance.
+    Some intervals are then twice as long (or nothing, where the rate is higher than the steps'), more evenly
+    than losses by chance.
     """
     steps = intervals(t)
     usual = float(np.median(steps)) if steps.size else 0.0
     if usual <= 0.0:
         return False
-    ratio = steps / usual
-    longer = np.rint(ratio) - 1.0
-    parts = int(abs(longer.sum())) // IN_PART
-    if parts < PARTS or np.abs(ratio - 1.0 - longer).max() > ON_STEPS:
-        return False
-    counts = np.add.reduceat(longer, np.arange(parts) * longer.size // parts)
-    return float(counts.var()) < EVENLY * abs(float(counts.mean()))
+    longer = np.rint(steps / usual) - 1.0
+    return bool(np.abs(steps / usual - 1.0 - longer).max() <= ON_STEPS) and more_even_than_chance(longer)
 
 
 def sample_period(t: Array) -> float:

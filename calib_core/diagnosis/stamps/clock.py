@@ -58,7 +58,8 @@ def timing_findings(samples: Samples, claims: Claims, sound: SoundPhones) -> lis
         together = interval_memory(grid, sound["interval_memory"], where)
         alone = stamps.jitter(grid, usual(sound, "timestamp_jitter", nominal), where)
         found.append(together or alone)
-        found.append(stamps.drops(grid, usual(sound, "dropped_samples", nominal), where))
+        if grid.told:
+            found.append(stamps.drops(grid, usual(sound, "dropped_samples", nominal), where))
         if arrived is not None:
             common = usual(sound, "arrival_bursts", nominal)
             found.append(_bursts(samples.t, waited(samples.t, arrived, period), common, where))
@@ -106,9 +107,9 @@ def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
     return rate, np.column_stack([x, y])
 
 
-def nominal_rate_error(t: Array, nominal_rate_hz: float) -> tuple[Measured, Array]:
+def nominal_rate_error(grid: stamps.Grid, nominal_rate_hz: float) -> tuple[Measured, Array]:
     """Return the true rate over the nominal one, less 1, and what it makes of the stamps (PIECES, 2) s."""
-    mean = stamps.Grid.of(t, sample_period(t)).mean_periods(PIECES)
+    t, mean = grid.t, grid.mean_periods(PIECES)
     off = 1.0 / (mean * nominal_rate_hz) - 1.0
     x = t[0] + (np.arange(PIECES) + 0.5) * (t[-1] - t[0]) / PIECES
     return mean_of(off, 1e-6), np.column_stack([x, np.cumsum(off) * (t[-1] - t[0]) / PIECES])
@@ -124,8 +125,9 @@ def rate_errors(
     parts = []
     if arrived is not None:
         parts.append((*clock_rate(t, arrived), sound["clock_skew"]))
-    if nominal and not bunched(t):
-        parts.append((*nominal_rate_error(t, nominal), sound["nominal_rate"]))
+    grid = stamps.Grid.of(t, sample_period(t)) if nominal and not bunched(t) else None
+    if nominal and grid is not None and grid.told:
+        parts.append((*nominal_rate_error(grid, nominal), sound["nominal_rate"]))
     return parts
 
 

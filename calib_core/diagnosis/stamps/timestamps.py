@@ -47,10 +47,13 @@ WANDERING = -0.25
 INDEPENDENT, ACCUMULATING = 6.0, 2.0
 """Variance of second differences over that of one jitter: of stamps, and of intervals that add up."""
 
-PEAK = 1.5
+PEAK = 10.0
 """Times as many intervals at two periods than between one and two, for the former to be gaps."""
 
-DECIMALS = (3, 4, 5, 6)
+NONE = 5e-4
+"""Share of samples that is as good as none: what may be missing where nothing shows that any is."""
+
+DECIMALS = (2, 3, 4, 5, 6)
 
 LEAST_JITTER = 1e-4
 """Periods: jitter below this is none, on the logarithmic scale of populations."""
@@ -79,6 +82,7 @@ class Grid:
     """Stamps t (n,) s, the period s, how many periods (n - 1,) lie between them, their step s.
 
     apart: (m,) second differences of neighbours in place, whose variance is `factor` times that of one stamp.
+    told: whether the stamps tell how many periods lie between them.
     """
 
     t: Array
@@ -87,26 +91,27 @@ class Grid:
     step: float
     apart: Array
     factor: float
+    told: bool
 
     @classmethod
     def of(cls, t: Array, period: float) -> Grid:
-        """Place stamps on a grid."""
+        """Place stamps on a grid; one period lies between them where they do not tell how many do."""
         steps = np.diff(t)
+        rounded = rounded_to_intervals(t)
+        step = float(np.median(steps)) if rounded else resolution(t)
         near = np.abs(steps - period) < LOCAL * period
-        rough = np.diff(steps)[near[1:] & near[:-1]]
-        even = rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
-        sharp = even and float(np.mean(steps < (1.0 - LOCAL) * period)) < FEW_TOGETHER
-        step = resolution(t)
-        if rounded_to_intervals(t):
-            step, multiples, factor = float(np.median(steps)), np.ones(steps.size), INDEPENDENT
-        else:
-            multiples = np.where(near, 1.0, np.rint(steps / period)) if sharp else periods_between(t, period)
-            factor = _factor(steps, near & (multiples == 1.0))
-            if not sharp and factor == ACCUMULATING:
-                multiples = _peaked(steps / period)
+        multiples = None if rounded else _by_intervals(steps, near, period)
+        if multiples is None:
+            multiples = periods_between(t, period, step)
+        factor = _factor(steps, near if multiples is None else near & (multiples == 1.0))
+        if multiples is None and factor == ACCUMULATING:
+            multiples = _peaked(steps / period)
+        told = multiples is not None or _as_many_in_any_time(steps[steps <= LONGEST_GAP * period])
+        if multiples is None:
+            multiples = np.ones(steps.size)
         single = (multiples == 1.0) & (steps < 2.0 * period)
         second = np.diff(steps)[single[1:] & single[:-1]]
-        return cls(t, period, multiples, step, second, factor)
+        return cls(t, period, multiples, step, second, factor, told)
 
     def mean_periods(self, parts: int) -> Array:
         """Return the mean period, s, of each of `parts` parts: missing samples count, pauses do not."""
@@ -131,8 +136,8 @@ class Grid:
     def jitter(self) -> Measured | None:
         """Return the scatter of single stamps, s, what rounding does taken off; None with too few.
 
-        Rounded even stamps repeat a pattern: the mean square of `apart` is anything between 0 and step^2, so
-        what is taken off may be off by itself either way, which is taken for two standard deviations.
+        Rounded even stamps repeat a pattern, or leap where they are near a step's edge: what is taken off may
+        be off by twice itself, the less the more they scatter (the first term of Sheppard's correction).
         """
         if self.apart.size < 100:
             return None
@@ -142,7 +147,9 @@ class Grid:
         sigma = mean_of(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
         # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
         sorted_by = 0.15 * max(sigma.value / self.period - 0.2, 0.0) * sigma.value
-        most, square = min(self.rounding, float(own.mean())), sigma.value**2
+        square = sigma.value**2
+        dithered = np.exp(-2.0 * np.pi**2 * square / self.step**2) if self.step else 0.0
+        most = min(2.0 * self.rounding * dithered, float(own.mean()))
         rounded_by = (np.sqrt(square + most) - np.sqrt(max(square - most, 0.0))) / 2.0
         return Measured(sigma.value, float(np.linalg.norm([sigma.error, sorted_by, rounded_by])))
 
@@ -185,13 +192,35 @@ def _factor(steps: Array, even: NDArray[np.bool_]) -> float:
     return ACCUMULATING if together > WANDERING else INDEPENDENT
 
 
-def _peaked(ratio: Array) -> Array:
-    """Return the periods in intervals that scatter.
+def _even(steps: Array, near: NDArray[np.bool_], period: float) -> bool:
+    """Whether intervals (n - 1,) s scatter so little that rounding tells how many periods they hold."""
+    rough = np.diff(steps)[near[1:] & near[:-1]]
+    return rough.size == 0 or float(np.mean(rough**2)) < 6.0 * (SHARP * period) ** 2
 
-    Two only where intervals gather at two, not on the way there.
-    """
+
+def _by_intervals(steps: Array, near: NDArray[np.bool_], period: float) -> Array | None:
+    """Return the periods in intervals (n - 1,) s by rounding; None where they scatter too much for that."""
+    apart = float(np.mean(steps < (1.0 - LOCAL) * period)) < FEW_TOGETHER
+    sharp = apart and _even(steps, near, period)
+    return np.asarray(np.where(near, 1.0, np.rint(steps / period))) if sharp else None
+
+
+def _peaked(ratio: Array) -> Array | None:
+    """Return the periods in intervals that scatter; None where they do not gather at one and two."""
     at_two, between = int((np.abs(ratio - 2.0) < 0.25).sum()), int((np.abs(ratio - 1.5) < 0.25).sum())
-    return np.asarray(np.rint(ratio) if at_two > PEAK * (between + 1) else np.ones(ratio.size))
+    gathered = at_two > PEAK * between or between < NONE * ratio.size
+    return np.asarray(np.maximum(np.rint(ratio), 1.0)) if gathered else None
+
+
+def _as_many_in_any_time(steps: Array) -> bool:
+    """Whether equal numbers of intervals (n,) s take equal times, so that no sample is missing by chance.
+
+    If a share of samples is lost by chance, the time of so many scatters by this share of their number, in
+    periods squared. Each part is held against the next one, as the clock's rate may change slowly.
+    """
+    parts = np.array_split(steps / steps.mean() - 1.0, PIECES)
+    late = np.array([float(p.sum()) for p in parts])
+    return float(np.mean((late[1::2] - late[::2]) ** 2)) / 2.0 < NONE * steps.size / PIECES
 
 
 def jitter(grid: Grid, usual: Usual, where: Where) -> Finding | None:

@@ -176,3 +176,34 @@ def test_losses_are_counted_beside_stamps_of_half_the_interval(off: float, share
     stamps = np.floor(late / (1.0 + off) * 2.0) / 2.0 / RATE
     grid = Grid.of(stamps, sample_period(stamps))
     assert grid.missing().value == pytest.approx((~kept).mean(), abs=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.2])
+def test_losses_are_counted_beside_stamps_as_coarse_as_their_interval(share: float) -> None:
+    """At 833 Hz in ms a fifth of the intervals is 2 ms by rounding, and more are by losses."""
+    rng = np.random.default_rng(20)
+    kept = rng.random(20_000) >= share
+    stamps = np.floor(np.flatnonzero(kept) / 0.833) * 1e-3
+    grid = Grid.of(stamps, sample_period(stamps))
+    assert grid.told
+    assert grid.missing().value == pytest.approx((~kept).mean(), abs=2e-3)
+
+
+def test_losses_that_jitter_hides_make_no_clock_slow() -> None:
+    """Stamps scatter by 0.35 periods and a fifth is missing: if that is not told, neither is a slow clock."""
+    rng = np.random.default_rng(21)
+    kept = rng.random(20_000) >= 0.2
+    stamps = np.sort(np.arange(20_000) + 0.35 * rng.standard_normal(20_000))[kept] / 100.0
+    samples = Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.zeros((stamps.size, 3))))
+    found = timing_findings(samples, Claims(nominal_rate_hz=100.0), sound_phones())
+    assert "clock_skew" not in {f.effect for f in found}
+
+
+def test_a_mirrored_period_loses_nothing() -> None:
+    """49.6 Hz in steps of 10 ms agrees as well with 50.4 Hz, where one in 62 would be missing."""
+    rng = np.random.default_rng(22)
+    late = np.sort(np.arange(20_000) + 0.3 * rng.standard_normal(20_000))
+    stamps = np.floor(late / 49.6 * 100.0) / 100.0
+    samples = Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.zeros((stamps.size, 3))))
+    found = timing_findings(samples, Claims(nominal_rate_hz=49.6), sound_phones())
+    assert {f.effect for f in found} <= {"timestamp_jitter"}
