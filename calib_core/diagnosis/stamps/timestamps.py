@@ -136,8 +136,8 @@ class Grid:
     def jitter(self) -> Measured | None:
         """Return the scatter of single stamps, s, what rounding does taken off; None with too few.
 
-        Rounded even stamps repeat a pattern, or leap where they are near a step's edge: what is taken off may
-        be off by twice itself, the less the more they scatter (the first term of Sheppard's correction).
+        Rounded even stamps repeat a pattern: the mean square of `apart` is anything between 0 and step^2, so
+        what is taken off may be off by itself either way, which is taken for two standard deviations.
         """
         if self.apart.size < 100:
             return None
@@ -147,9 +147,7 @@ class Grid:
         sigma = mean_of(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
         # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
         sorted_by = 0.15 * max(sigma.value / self.period - 0.2, 0.0) * sigma.value
-        square = sigma.value**2
-        dithered = np.exp(-2.0 * np.pi**2 * square / self.step**2) if self.step else 0.0
-        most = min(2.0 * self.rounding * dithered, float(own.mean()))
+        most, square = min(self.rounding, float(own.mean())), sigma.value**2
         rounded_by = (np.sqrt(square + most) - np.sqrt(max(square - most, 0.0))) / 2.0
         return Measured(sigma.value, float(np.linalg.norm([sigma.error, sorted_by, rounded_by])))
 
