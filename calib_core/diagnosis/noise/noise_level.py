@@ -32,6 +32,9 @@ SPREAD = 3.0
 SUPPRESSED = 0.8
 TWO_SIDED = float(np.sqrt(2.0))
 
+OF_MEDIAN = float(1.0 / np.log(2.0))
+"""Relative sd of the median of n exponential numbers, as the power at a frequency is, times sqrt(n)."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Levels:
@@ -70,16 +73,33 @@ class Levels:
 def level_part(spectrum: Spectra) -> tuple[Array, NDArray[np.bool_], bool]:
     """Return the power (P, F, 3) before a low-pass, where (F,) it is level, and whether it is white.
 
-    Lines and slow wander are left out; all of the band is taken where they are most of it.
+    Lines and slow wander are left out; all of the band is taken where they are most of it. Few rests show
+    it only of several frequencies together.
     """
     shape = spectrum.shape()
     flat = spectrum.power / shape[None, :, None]
     band = spectrum.band & (shape > USABLE)
-    typical = np.median(flat, axis=0)
+    typical = _smooth(np.median(flat, axis=0), band, float(spectrum.averages.sum()))
     level = np.median(typical[band], axis=0)
     clean = band & (typical < LINE * level).all(axis=1) & (typical > level / LINE).all(axis=1)
     white = bool(clean.sum() >= WHITE * band.sum())
     return flat, clean if white else band, white
+
+
+def _smooth(power: Array, band: NDArray[np.bool_], averages: float) -> Array:
+    """Return power (F, 3), in the band of so many neighbours that chance stays below a third of `LINE`.
+
+    averages: how many the power at one frequency has. Few rests scatter it by more than a line stands out.
+    """
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
+
+    scatter = OF_MEDIAN / np.sqrt(averages)
+    count = int(np.ceil(SHARED * (3.0 * scatter / np.log(LINE)) ** 2))
+    if count <= SHARED:
+        return power
+    smooth = power.copy()
+    smooth[band] = uniform_filter1d(power[band], count, axis=0)
+    return smooth
 
 
 def levels(spectrum: Spectra, floor: float = 0.0) -> Levels:
