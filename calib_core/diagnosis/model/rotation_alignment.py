@@ -198,7 +198,8 @@ class Aligned:
     baseline: of the accelerometer, as norm and turns fit it together; bias: (3,) of the rate, at rest;
     mapping: (3, 3), takes the rate as read to the true one; unsure: (9, 9), a column a standard deviation of
     the accelerometer's parameters, as the norm alone leaves them; errors: (18, 18), the same of these and of
-    the rate's error, row by row, as norm and turns leave them together; None with few turns.
+    the rate's error, row by row, as norm and turns leave them together; None with few turns. wander: m/s^2,
+    by how much the accelerometer's bias moves about its mean, one standard deviation.
     """
 
     turns: list[Turn]
@@ -207,6 +208,7 @@ class Aligned:
     mapping: Array
     unsure: Array
     errors: Array | None
+    wander: float = 0.0
 
     def left_unknown(self) -> Array:
         """Return `errors`; with few turns what the norm, and a usual gyroscope's spread, leave, (18, 18)."""

@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import LEAST_PROBABILITY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
@@ -27,6 +27,7 @@ from stillcal.calib_core.diagnosis.model.records import (
     Where,
 )
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 NO_DRIVER = "nothing that was recorded"
 """What wander without a name follows."""
@@ -119,6 +120,17 @@ def wanders_of(views: Sequence[Reduced]) -> list[Wander]:
         density, size = np.sqrt(view.walk * scale), np.sqrt(view.power * scale)
         out.append(Wander(weight, prior, density, size * np.sqrt(rate), size, bounded, mixed))
     return out
+
+
+def size_along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> float:
+    """Return by how much an accelerometer's bias wanders beside what is explained, m/s^2.
+
+    It is one standard deviation about the mean, as the norm of gravity shows it, rms over the shapes.
+    """
+    reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
+    pairs = zip(residuals.views, wanders_of(reduced), strict=True)
+    seen = [w for v, w in pairs if v.name == "norm"]
+    return max((float(np.sqrt(w.weight @ w.size**2)) for w in seen), default=0.0)
 
 
 def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Finding]:

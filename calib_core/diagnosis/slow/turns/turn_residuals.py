@@ -17,6 +17,9 @@ OUTLIER = 8.0
 KNOWN = 2.0
 """Degrees of freedom with which the errors of turns are known beforehand."""
 
+WAVES = 8
+"""Of a bias that wanders: those left out have a fourteenth of a walk's variance."""
+
 
 def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals | None:
     """Return the turns' residuals, one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
@@ -35,8 +38,9 @@ def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals
 def turn_view(made: Aligned, rounding: Array | None) -> View:
     """Two residuals a turn across gravity; the baseline is the nine numbers of scale and misalignment.
 
-    The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown, and the
-    rate's bias by what coarse steps do to it at rest, `rounding` (3,) rad/s, where the turn dithers them.
+    The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown, its bias
+    besides by how it wanders, and the rate's bias by what coarse steps do to it at rest, `rounding` (3,)
+    rad/s, where the turn dithers them.
     `duration` holds the angle turned through, with which errors may grow.
     """
     found = made.turns
@@ -44,9 +48,8 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
     y = np.einsum("kbi,ki->kb", across, np.array([t.miss for t in found])).ravel()
     n = y.size
     scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
-    absorbed = (
-        np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9) @ made.unsure
-    )
+    unsure = np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9)
+    absorbed = unsure @ made.unsure
     if rounding is not None:
         still = np.array([t.columns(np.tile(np.eye(3) * rounding, (t.t.size, 1, 1))) for t in found])
         absorbed = np.hstack([absorbed, np.einsum("kbi,kip->kbp", across, still).reshape(n, 3)])
@@ -65,4 +68,16 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
         known=KNOWN,
     )
     spread = max(MAD_TO_SD * float(np.median(np.abs(rough.left()))), 1e-6)
-    return replace(rough, variance=np.full(n, spread**2))
+    waves = np.repeat(made.wander * _waves(np.array([t.end - t.duration / 2.0 for t in found])), 2, axis=0)
+    wandering = (unsure[:, :3, None] * waves[:, None, :]).reshape(n, -1)
+    return replace(rough, variance=np.full(n, spread**2), absorbed=np.hstack([absorbed, wandering]))
+
+
+def _waves(t: Array) -> Array:
+    """Return a random walk about its mean as independent waves (n, `WAVES`) of variance 1 together.
+
+    The walk's Karhunen-Loeve expansion over the times t (n,): cosines of k half periods, sizes as 1 / k.
+    """
+    k = np.arange(1, WAVES + 1)
+    phase = np.pi * (t - t.min()) / max(float(np.ptp(t)), 1e-9)
+    return np.asarray(np.sqrt(12.0) / np.pi * np.cos(phase[:, None] * k) / k)

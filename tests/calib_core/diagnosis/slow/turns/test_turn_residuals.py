@@ -7,11 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned, cuts
+from stillcal.calib_core.diagnosis.model.residuals import rest_courses
+from stillcal.calib_core.diagnosis.model.rotation_alignment import _carried, aligned, cuts
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
-from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import WAVES, _waves, turn_view
+from stillcal.calib_core.streams.samples import Samples
+from tests.calib_core.diagnosis.model.test_rotation_alignment import RATE, G, day
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.calib_core.diagnosis.slow.test_off_catalogue import QUIET
 from tests.support.diagnosis import nulls
@@ -92,3 +96,47 @@ def test_what_coarse_steps_do_to_the_bias_at_rest_is_no_gain_by_sense() -> None:
     coarse = replace(spin, xyz=step * np.round((spin.xyz + 0.3 * step) / step))
     bins = cut(force, coarse)
     assert turn_findings(aligned(coarse, bins, G), bins, G) == []
+
+
+def test_waves_together_are_a_walk_about_its_mean() -> None:
+    t = np.linspace(3.0, 53.0, 201)
+    waves = _waves(t)
+    s = (t - 3.0) / 50.0
+    walk = 1.0 / 3.0 - np.maximum(s, s[:, None]) + (s**2 + s[:, None] ** 2) / 2.0
+    np.testing.assert_allclose(waves @ waves.T, 6.0 * walk, atol=0.15)
+    away = waves @ waves.T - 6.0 * walk
+    assert np.sqrt((away**2).mean()) < 0.03
+
+
+def walking(density: float) -> tuple[Samples, Samples]:
+    """Return a day whose accelerometer's bias walks by so much, m/s^2/sqrt(s)."""
+    force, spin, _ = day()
+    steps = np.random.default_rng(7).normal(0.0, density * np.sqrt(1.0 / RATE), force.xyz.shape)
+    return replace(force, xyz=force.xyz + np.cumsum(steps, axis=0)), spin
+
+
+def test_what_a_wandering_bias_does_to_turns_is_in_their_noise() -> None:
+    """A bias that moves by two waves, put into the rests alone: all other things stay as they are."""
+    force, spin = walking(3e-3)
+    bins = cut(force, spin)
+    made = replace(aligned(spin, bins, G), wander=0.03)
+    course = 0.02 * np.cos(np.pi * (bins.t - bins.t[0]) / np.ptp(bins.t))[:, None] * [1.0, -0.5, 0.0]
+    course[:, 2] = 0.01 * np.cos(3.0 * np.pi * (bins.t - bins.t[0]) / np.ptp(bins.t))
+    found, steady = cuts(spin, bins), rest_courses(bins.force, bins.rest)
+    x = made.baseline.parameters
+    before, after = (
+        np.concatenate([t.across() @ t.miss for t in _carried(found, moved, x, made.mapping)])
+        for moved in (steady, steady + course)
+    )
+    absorbed = turn_view(made, None).absorbed
+    assert absorbed is not None and absorbed.shape[1] == 9 + 3 * WAVES
+    waves = absorbed[:, 9:]
+    sizes = np.linalg.lstsq(waves, after - before, rcond=None)[0]
+    assert np.linalg.norm(after - before - waves @ sizes) < 0.1 * np.linalg.norm(after - before)
+    assert 0.3 < np.sqrt((sizes**2).sum()) < 3.0, "a course of 0.02 m/s^2 where 0.03 are usual"
+
+
+@pytest.mark.parametrize(("density", "low", "high"), [(0.0, 0.0, 1e-3), (3e-3, 0.015, 0.06)])
+def test_turns_know_how_much_the_accelerometer_wanders(density: float, low: float, high: float) -> None:
+    exam = examine(*walking(density), sought=())
+    assert exam.aligned is not None and low <= exam.aligned.wander <= high
