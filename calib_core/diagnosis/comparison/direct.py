@@ -195,18 +195,20 @@ def partner(finding: Finding, own: Sequence[Finding], others: Sequence[Finding])
     return pair if pair_of(pair, own) is finding else None
 
 
-def same_step(finding: Finding, other: Examination) -> Finding | None:
-    """Return a finding of coarse values with the step of another recording, where that is the same one.
+def step_of_other(finding: Finding, other: Examination) -> Finding | None:
+    """Return a finding of coarse values with the step of another recording, where that has coarse steps too.
 
-    Under louder noise, as at a higher rate, the same step is no finding. None where the step is another.
+    Under louder noise, as at a higher rate, the same step is no finding, and one coarser than its noise may
+    be a usual one. None where the step is another, and finer than its noise.
     """
     streams = [s for s in other.streams if s.sensor == finding.sensor]
     if not finding.effect.endswith("_quantisation") or not streams:
         return None
     own = finding.parameters["step"]
-    step = float(np.median(streams[0].steps.step[[AXES.index(a) for a in finding.axes]]))
+    axes, steps = [AXES.index(a) for a in finding.axes], streams[0].steps
+    step, noise = (float(np.median(each[axes])) for each in (steps.step, steps.sd))
     ratio = step / float(np.asarray(own.value))
-    if abs(ratio - 1.0) > ALIKE:
+    if abs(ratio - 1.0) > ALIKE and step <= noise:
         return None
     low, high = np.ravel(own.ci95) * ratio
     return replace(finding, parameters={"step": Parameter(step, [float(low), float(high)], own.unit)})

@@ -17,8 +17,8 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     direct_statements,
     partner,
     quantities_of,
-    same_step,
     stamp_quantities,
+    step_of_other,
     why_not_shown,
 )
 from stillcal.calib_core.diagnosis.comparison.quantity import (
@@ -115,7 +115,8 @@ def differences_of_samples(
             if pair is not None:
                 both += _paired(finding, pair) if of_recording else []
                 continue
-            measured = same_step(finding, exams[other]) or _same_rate(finding, exams[1 - other], exams[other])
+            measured = step_of_other(finding, exams[other])
+            measured = measured or _same_rate(finding, exams[1 - other], exams[other])
             if measured is not None:
                 both += _paired(*((finding, measured) if of_recording else (measured, finding)))
                 continue

@@ -11,8 +11,8 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     pair_of,
     partner,
     quantities_of,
-    same_step,
     stamp_quantities,
+    step_of_other,
 )
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
@@ -157,6 +157,8 @@ def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
     assert [f.effect for f in found] == ["accel_quantisation"]
     louder, finer = stepped(0.04, 0.05), stepped(0.004, 0.015)
     assert not louder.statements and not finer.statements
-    same = same_step(found[0], louder)
+    same = step_of_other(found[0], louder)
     assert same is not None and same.parameters["step"].value == pytest.approx(0.04, rel=1e-3)
-    assert same_step(found[0], finer) is None
+    assert step_of_other(found[0], finer) is None
+    other = step_of_other(found[0], stepped(0.02, 0.013))
+    assert other is not None and other.parameters["step"].value == pytest.approx(0.02, rel=1e-3)
