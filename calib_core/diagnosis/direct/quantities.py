@@ -21,7 +21,7 @@ from stillcal.calib_core.streams.samples import Samples
 
 def of_stamps(samples: Samples) -> dict[str, Measured]:
     """Return jitter, missing samples and bursts of one stream; what cannot be told is absent."""
-    grid = _grid(samples)
+    grid = grid_of(samples)
     if grid is None:
         return {}
     out = {"dropped_samples": grid.missing().log(stamps.LEAST_SHARE)} if grid.told else {}
@@ -38,12 +38,12 @@ def of_stamps(samples: Samples) -> dict[str, Measured]:
 
 def of_intervals(samples: Samples) -> dict[str, Measured]:
     """Return how the scatter of one stream's stamps grows with time, which is no effect's own number."""
-    grid = _grid(samples)
+    grid = grid_of(samples)
     memory = None if grid is None else Memory.of(grid)
     return {} if memory is None else {"interval_memory": memory.size()}
 
 
-def _grid(samples: Samples) -> stamps.Grid | None:
+def grid_of(samples: Samples) -> stamps.Grid | None:
     """Return the grid of one stream's stamps; None where they are too few, or have none."""
     period = sample_period(samples.t)
     if len(samples) < clock.LEAST_SAMPLES or period <= 0.0 or bunched(samples.t):

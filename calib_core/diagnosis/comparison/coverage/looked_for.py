@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Sought
 from stillcal.calib_core.diagnosis.comparison.noise import BLURRED, why_no_density
 from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies, kind_of_column
@@ -223,11 +224,13 @@ def direct_checks(exam: Examination) -> Iterator[Check]:
             yield from (Check(name, sensor, why) for name in _of_samples(sensor))
         yield from (Check(name, "timing", why) for name in (*STAMPS, "clock_skew", "arrival_bursts"))
         return
-    yield from (Check(name, "timing") for name in STAMPS)
-    claims, arrivals = exam.claims, exam.accelerometer.t_arrival is not None
-    nominal = arrivals or bool(claims.nominal_rate_hz)
+    grid, arrivals = grid_of(exam.accelerometer), exam.accelerometer.t_arrival is not None
+    untold = None if grid is None or grid.told else UNTOLD
+    yield Check("timestamp_jitter", "timing")
+    yield Check("dropped_samples", "timing", untold)
     unknown = "neither arrival times nor a nominal rate are known (add nominal_rate_hz to NAME.json)"
-    yield Check("clock_skew", "timing", None if nominal else unknown)
+    no_rate = untold if exam.claims.nominal_rate_hz else unknown
+    yield Check("clock_skew", "timing", None if arrivals else no_rate)
     yield Check("arrival_bursts", "timing", None if arrivals else "no arrival times")
     for stream in exam.streams:
         yield from _of_stream(exam, stream)
@@ -237,6 +240,7 @@ def direct_checks(exam: Examination) -> Iterator[Check]:
 
 
 STAMPS = ("timestamp_jitter", "dropped_samples")
+UNTOLD = "its time stamps do not tell how many samples are missing between them"
 LEVELS = ("noise_unequal_axes", "noise_heavy_tailed", "bandwidth", "noise_level")
 MOTION = ((DELAY, "timing"), ("lever_arm", "accel"))
 

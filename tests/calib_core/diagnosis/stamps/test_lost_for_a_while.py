@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import UNTOLD, direct_checks
 from stillcal.calib_core.diagnosis.comparison.noise import rate
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.sample_period import rounded_to_intervals, sample_period
@@ -194,9 +196,13 @@ def test_losses_that_jitter_hides_make_no_clock_slow() -> None:
     rng = np.random.default_rng(21)
     kept = rng.random(20_000) >= 0.2
     stamps = np.sort(np.arange(20_000) + 0.35 * rng.standard_normal(20_000))[kept] / 100.0
-    samples = Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.zeros((stamps.size, 3))))
+    force = np.array([0.0, 0.0, 9.81]) + 0.01 * rng.standard_normal((stamps.size, 3))
+    samples = Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(force))
     found = timing_findings(samples, Claims(nominal_rate_hz=100.0), sound_phones())
     assert "clock_skew" not in {f.effect for f in found}
+    exam = examine(samples, None, claims=Claims(nominal_rate_hz=100.0), sought=())
+    reasons = {check.effect: check.reason for check in direct_checks(exam)}
+    assert reasons["clock_skew"] == reasons["dropped_samples"] == UNTOLD
 
 
 def test_a_mirrored_period_loses_nothing() -> None:
