@@ -123,8 +123,13 @@ class Bins:
         kept: dict[str, Any] = {
             c: None if getattr(self, c) is None else getattr(self, c)[keep] for c in PER_BIN
         }
-        kept["rest"] = np.unique(self.rest[keep], return_inverse=True)[1].astype(np.int64)
+        kept["rest"] = _numbered(self.rest[keep])
         return replace(self, **kept)
+
+
+def _numbered(rest: Index) -> Index:
+    """Return which rest each bin (n,) lies in, those that have any bins numbered from 0 on."""
+    return np.asarray(np.unique(rest, return_inverse=True)[1], dtype=np.int64)
 
 
 def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
@@ -286,7 +291,7 @@ def cut(
     return Bins(
         t=span[0] + (first + last) * 0.5 * WINDOW,
         duration=(last - first) * WINDOW,
-        rest=rest,
+        rest=_numbered(rest),
         pose=pose,
         force=_bin_means(force.mean, first, last),
         force_variance=_white_variances(force.mean, first, last),

@@ -95,3 +95,15 @@ def test_what_a_plug_leaves_of_a_bin_must_tell_its_noise(left: int, kept: bool) 
     assert found.first.tolist() == ([0.0, 10.0, 23.0] if kept else [0.0, 23.0])
     assert found.last.tolist() == ([2.0, 10.0 + left, 30.0] if kept else [2.0, 30.0])
     assert found.rest.tolist() == ([0, 1, 2] if kept else [0, 2])
+
+
+def test_a_rest_that_a_plug_leaves_nothing_of_has_no_number() -> None:
+    """Gravity's length in a rest is the mean of its bins: of none it was no number: no turn was judged."""
+    rng, pieces = np.random.default_rng(3), []
+    for seconds, angle in ((30, 0.0), (7, 1.2), (30, 2.4)):
+        pieces += [np.tile([np.sin(angle), 0.0, np.cos(angle)], (50 * seconds, 1)), rng.normal(size=(150, 3))]
+    force = np.concatenate(pieces)
+    force = 9.81 * force + rng.normal(0.0, 0.01, force.shape)
+    samples = Samples.checked(Sensor.ACCELEROMETER, np.arange(len(force)) / 50.0, force)
+    assert np.unique(cut(samples, None).rest).tolist() == [0, 1, 2]
+    assert np.unique(cut(samples, None, [Charging(37.0, True)]).rest).tolist() == [0, 1]
