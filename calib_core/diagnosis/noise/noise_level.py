@@ -79,11 +79,13 @@ def level_part(spectrum: Spectra) -> tuple[Array, NDArray[np.bool_], bool]:
     shape = spectrum.shape()
     flat = spectrum.power / shape[None, :, None]
     band = spectrum.band & (shape > USABLE)
-    typical = _smooth(np.median(flat, axis=0), band, float(spectrum.averages.sum()))
-    level = np.median(typical[band], axis=0)
-    clean = band & (typical < LINE * level).all(axis=1) & (typical > level / LINE).all(axis=1)
-    white = bool(clean.sum() >= WHITE * band.sum())
-    return flat, clean if white else band, white
+    typical = np.median(flat, axis=0)
+    for seen in (typical, _smooth(typical, band, float(spectrum.averages.sum()))):
+        level = np.median(seen[band], axis=0)
+        clean = band & (seen < LINE * level).all(axis=1) & (seen > level / LINE).all(axis=1)
+        if clean.sum() >= WHITE * band.sum():
+            return flat, clean, True
+    return flat, band, False
 
 
 def _smooth(power: Array, band: NDArray[np.bool_], averages: float) -> Array:
