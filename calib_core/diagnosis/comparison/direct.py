@@ -208,7 +208,7 @@ def step_of_other(finding: Finding, other: Examination) -> Finding | None:
     axes, steps = [AXES.index(a) for a in finding.axes], streams[0].steps
     step, noise = (float(np.median(each[axes])) for each in (steps.step, steps.sd))
     ratio = step / float(np.asarray(own.value))
-    if abs(ratio - 1.0) > ALIKE and step <= noise:
+    if abs(ratio - 1.0) > ALIKE and not 0.0 < noise < step:
         return None
     low, high = np.ravel(own.ci95) * ratio
     return replace(finding, parameters={"step": Parameter(step, [float(low), float(high)], own.unit)})

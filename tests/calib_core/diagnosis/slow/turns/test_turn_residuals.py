@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.model.residuals import rest_courses
 from stillcal.calib_core.diagnosis.model.rotation_alignment import _carried, aligned, cuts
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
-from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import WAVES, _waves, turn_view
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import WAVES, _waves, turn_residuals, turn_view
 from stillcal.calib_core.streams.samples import Samples
 from tests.calib_core.diagnosis.model.test_rotation_alignment import RATE, G, day
 from tests.calib_core.diagnosis.slow.test_findings import day_of
@@ -140,3 +140,14 @@ def test_what_a_wandering_bias_does_to_turns_is_in_their_noise() -> None:
 def test_turns_know_how_much_the_accelerometer_wanders(density: float, low: float, high: float) -> None:
     exam = examine(*walking(density), sought=())
     assert exam.aligned is not None and low <= exam.aligned.wander <= high
+
+
+@pytest.mark.parametrize("seed", [2, 5, 7])
+def test_a_little_wander_leaves_all_turns_in(seed: int) -> None:
+    """Waves fitted to few turns leave rounding alone, by which turns were outliers at random."""
+    force, spin, _ = day(seed, 24)
+    bins = cut(force, spin)
+    made = aligned(spin, bins, G)
+    still, wandering = (turn_residuals(replace(made, wander=w), bins, G) for w in (0.0, 2e-4))
+    assert still is not None and wandering is not None
+    assert len(wandering.turns) == len(still.turns)
