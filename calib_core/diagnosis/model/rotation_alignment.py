@@ -101,6 +101,14 @@ class Turn:
         turned = np.einsum("nij,nk->ijk", self.carried, self.rate).reshape(3, 9)
         return np.cross(turned.T, self.up).T
 
+    def by_every_other(self) -> Array:
+        """Return by how much every other sample takes gravity's direction at the end elsewhere, (3,) rad."""
+        rows = np.arange(self.t.size - 1, -1, -2)[::-1]
+        rows = rows if rows[0] == 0 else np.insert(rows, 0, 0)
+        carried = self.up - self.miss
+        start = matrix(attitudes(self.t, self.rate)[:, -1]) @ carried
+        return np.asarray(matrix(attitudes(self.t[rows], self.rate[rows])[:, -1]).T @ start - carried)
+
     def across(self) -> Array:
         """Return two unit vectors (2, 3) across gravity at the end."""
         first = np.cross(self.up, np.eye(3)[np.argmin(np.abs(self.up))])

@@ -21,12 +21,10 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import (
     GYRO_SCALE_SIZE,
     LEAST_TURNS,
     Aligned,
-    Turn,
 )
 from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_view
-from stillcal.calib_core.maths.rotation import attitudes, matrix
 
 DRIVER = "turns from rest to rest"
 
@@ -126,15 +124,6 @@ def _variances(made: Aligned, bins: Bins, gravity: float) -> Array:
     return np.asarray(ended + noise + bias)
 
 
-def _between_samples(turn: Turn) -> float:
-    """Return the square of how far gravity is carried otherwise by every other sample, rad^2."""
-    rows = np.arange(turn.t.size - 1, -1, -2)[::-1]
-    rows = rows if rows[0] == 0 else np.insert(rows, 0, 0)
-    start = matrix(attitudes(turn.t, turn.rate)[:, -1]) @ (turn.up - turn.miss)
-    again = matrix(attitudes(turn.t[rows], turn.rate[rows])[:, -1]).T @ start
-    return float(((again - (turn.up - turn.miss)) ** 2).sum())
-
-
 def turn_errors(
     made: Aligned, bins: Bins, gravity: float, found: Sequence[Hypothesis] = ()
 ) -> Finding | None:
@@ -147,7 +136,7 @@ def turn_errors(
     if missed is None or not DirectEvidence(missed.nats()).stated:
         return None
     # More may be allowed for: it takes long to find, and most recordings are sound without it.
-    between = np.array([_between_samples(t) for t in made.turns])
+    between = np.array([float((t.by_every_other() ** 2).sum()) for t in made.turns])
     missed = replace(missed, variance=missed.variance + between)
     size = (missed.y**2).sum(axis=1) / (missed.variance + (SOUND[1] * missed.angle) ** 2)
     seen = DirectEvidence(missed.without(int(np.argmax(size))).nats())

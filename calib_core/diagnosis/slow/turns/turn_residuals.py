@@ -21,6 +21,13 @@ WAVES = 8
 """Of a bias that wanders: those left out have a fourteenth of a walk's variance."""
 
 
+HALVED = 15.0
+"""Every other sample of a smooth rate misses 16 times what all of them do: the rule is of fourth order."""
+
+ROUGHER = 2.0
+"""Times that error which is allowed for: a rate that is not smooth from sample to sample makes more."""
+
+
 def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals | None:
     """Return the turns' residuals, one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
     for _ in range(2):
@@ -43,7 +50,8 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
 
     The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown, its bias
     besides by how it wanders, and the rate's bias by what coarse steps do to it at rest, `rounding` (3,)
-    rad/s, where the turn dithers them.
+    rad/s, where the turn dithers them. What happens between two samples turns with the course of the rates,
+    as a gyroscope's nonlinearity does: it is allowed for in all turns alike, and as much again in each.
     `duration` holds the angle turned through, with which errors may grow.
     """
     found = made.turns
@@ -52,7 +60,9 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
     n = y.size
     scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
     unsure = np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9)
-    absorbed = unsure @ made.unsure
+    between = np.array([t.by_every_other() for t in found]) * (ROUGHER / HALVED)
+    missed = np.einsum("kbi,ki->kb", across, between).reshape(n, 1)
+    absorbed = np.hstack([unsure @ made.unsure, missed])
     if rounding is not None:
         still = np.array([t.columns(np.tile(np.eye(3) * rounding, (t.t.size, 1, 1))) for t in found])
         absorbed = np.hstack([absorbed, np.einsum("kbi,kip->kbp", across, still).reshape(n, 3)])
@@ -73,7 +83,8 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
     spread = max(MAD_TO_SD * float(np.median(np.abs(rough.left()))), 1e-6)
     waves = np.repeat(made.wander * _waves(np.array([t.end - t.duration / 2.0 for t in found])), 2, axis=0)
     wandering = (unsure[:, :3, None] * waves[:, None, :]).reshape(n, -1)
-    return replace(rough, variance=np.full(n, spread**2), absorbed=np.hstack([absorbed, wandering]))
+    apart = np.repeat((between**2).sum(axis=1) / 2.0, 2)
+    return replace(rough, variance=spread**2 + apart, absorbed=np.hstack([absorbed, wandering]))
 
 
 def _waves(t: Array) -> Array:
