@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
-from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
@@ -26,7 +26,6 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.diagnosis.stream import Stream
-from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.samples import Samples
 
 TIMES = float(np.log(3.0))
@@ -363,18 +362,16 @@ def rate(samples: Samples) -> Quantity:
     """
     if bunched(samples.t):
         pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
-        periods = np.array([sample_period(p) for p in pieces])
+        mean = mean_of(-np.log([sample_period(p) for p in pieces]), LEAST_RATE_ERROR)
     else:
         grid = Grid.of(samples.t, sample_period(samples.t))
-        periods = grid.mean_periods(min(PIECES, len(samples) - 1))
-    logs = -np.log(periods)
-    error = MAD_TO_SD * float(np.median(np.abs(logs - np.median(logs)))) / np.sqrt(logs.size)
+        mean = grid.mean_rate(min(PIECES, len(samples) - 1), LEAST_RATE_ERROR)[0]
     return Quantity(
         "sample_rate",
         "timing",
         (Part("rate", "Hz", 1),),
-        np.array([float(np.median(logs))]),
-        np.array([[max(error, LEAST_RATE_ERROR) ** 2]]),
+        np.array([mean.value]),
+        np.array([[mean.error**2]]),
         np.array([TIMES]),
         np.array([ALIKE_RATE]),
         np.array([-1]),

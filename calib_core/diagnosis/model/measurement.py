@@ -68,10 +68,14 @@ class Measured:
         return Measured(float(np.log10(shifted)), self.error / shifted / float(np.log(10.0)))
 
 
-def mean_of(pieces: Array, floor: float = 0.0) -> Measured:
-    """Robust mean of independent pieces (n,) with a standard error from their scatter, `floor` at least."""
+def mean_of(pieces: Array, floor: float = 0.0, known: float = 0.0) -> Measured:
+    """Robust mean of independent pieces (n,) with a standard error from their scatter, `floor` at least.
+
+    known: standard deviation of pieces in which nothing is wrong, where it is known: more than half of
+    pieces that are rounded may be exactly alike.
+    """
     middle = float(np.median(pieces))
-    scatter = MAD_TO_SD * float(np.median(np.abs(pieces - middle)))
+    scatter = max(MAD_TO_SD * float(np.median(np.abs(pieces - middle))), known)
     keep = np.abs(pieces - middle) <= 4.0 * scatter + 1e-300
     kept = pieces[keep] if keep.sum() >= 3 else pieces
     error = float(kept.std(ddof=1)) / np.sqrt(kept.size) if kept.size > 1 else float("inf")

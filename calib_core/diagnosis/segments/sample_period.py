@@ -59,17 +59,35 @@ def more_even_than_chance(lost: Array) -> bool:
 
     The rounding of stamps, or a wrong period, makes such gaps, and nothing is lost in them. Losses by chance
     have binomial counts, or more uneven ones where they gather. Each part is held against the next one, so
-    that losses may become more or fewer.
+    that losses may become more or fewer. Few gaps are judged by the way from one to the next.
     """
     from scipy.special import chdtr  # noqa: PLC0415 - the daemon stays light
 
     gaps = np.sign(lost)
     share, pairs = abs(float(gaps.mean())), int(abs(gaps.sum())) // (2 * IN_PART)
-    if pairs < PAIRS or share >= 1.0:
+    if pairs < PAIRS:
+        return _evenly_apart(lost)
+    if share >= 1.0:
         return False
     counts = np.add.reduceat(gaps, np.arange(2 * pairs) * gaps.size // (2 * pairs))
     variance = gaps.size / (2.0 * pairs) * share * (1.0 - share)
     return float(chdtr(pairs, ((counts[1::2] - counts[::2]) ** 2).sum() / (2.0 * variance))) < CHANCE
+
+
+def _evenly_apart(lost: Array) -> bool:
+    """Whether the ways from gap to gap are more alike, two by two, than chance makes them (Fisher's method).
+
+    By chance the first of two is anything from 1 to their sum less 1. Jitter beside a step's edge makes a gap
+    that is taken back at once; the first time counts that so many samples are missing.
+    """
+    from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
+
+    missing = np.cumsum(lost) * np.sign(lost.sum())
+    most = np.maximum.accumulate(np.concatenate([[0.0], missing]))
+    apart = np.diff(np.flatnonzero(np.diff(most)))
+    pairs = apart[: apart.size // 2 * 2].reshape(-1, 2)
+    alike = np.maximum(np.abs(pairs[:, 0] - pairs[:, 1]), 0.5) / (pairs.sum(axis=1) - 1.0)
+    return bool(pairs.size) and float(chdtrc(pairs.size, -2.0 * np.log(alike).sum())) < CHANCE
 
 
 def rounded_to_intervals(t: Array) -> bool:

@@ -10,7 +10,6 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
     direct_finding,
-    mean_of,
     of_measured,
     share_of,
 )
@@ -109,10 +108,12 @@ def clock_rate(t: Array, arrival: Array) -> tuple[Measured, Array]:
 
 def nominal_rate_error(grid: stamps.Grid, nominal_rate_hz: float) -> tuple[Measured, Array]:
     """Return the true rate over the nominal one, less 1, and what it makes of the stamps (PIECES, 2) s."""
-    t, mean = grid.t, grid.mean_periods(PIECES)
-    off = 1.0 / (mean * nominal_rate_hz) - 1.0
+    t = grid.t
+    mean, pieces = grid.mean_rate(PIECES, 1e-6)
+    ratio, off = np.exp(mean.value) / nominal_rate_hz, np.exp(pieces) / nominal_rate_hz - 1.0
     x = t[0] + (np.arange(PIECES) + 0.5) * (t[-1] - t[0]) / PIECES
-    return mean_of(off, 1e-6), np.column_stack([x, np.cumsum(off) * (t[-1] - t[0]) / PIECES])
+    leads = np.column_stack([x, np.cumsum(off) * (t[-1] - t[0]) / PIECES])
+    return Measured(float(ratio) - 1.0, float(ratio) * mean.error), leads
 
 
 def rate_errors(

@@ -125,6 +125,16 @@ class Grid:
         ]
         return np.array([time / count if count else self.period for time, count in periods])
 
+    def mean_rate(self, parts: int, floor: float) -> tuple[Measured, Array]:
+        """Return the logarithm of the mean rate, 1/s, its error at least `floor`, and that of each part.
+
+        A part is off by what its two ends are off: by rounding, or by as much as neighbours scatter.
+        """
+        logs = -np.log(self.mean_periods(parts))
+        scatter = float(np.mean(self.apart**2)) if self.apart.size else 0.0
+        of_end = np.sqrt(max(scatter / INDEPENDENT, self.step**2 / 12.0))
+        return mean_of(logs, floor, np.sqrt(2.0) * of_end * parts / (self.period * self.t.size)), logs
+
     @property
     def rounding(self) -> float:
         """Variance, s^2, that the stamps' own step seems to make: step^2 / 12 where each is off by itself.

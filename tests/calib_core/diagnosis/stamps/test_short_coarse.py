@@ -1,0 +1,85 @@
+"""Short recordings whose stamps are coarse: their rate is no whole number of steps, and nothing is lost."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.noise import rate
+from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
+from stillcal.calib_core.diagnosis.model.records import Claims
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.segments.sample_period import more_even_than_chance, sample_period
+from stillcal.calib_core.diagnosis.stamps.clock import nominal_rate_error, timing_findings
+from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+
+def coarse(hz: float, n: int, step: float, jitter: float = 0.0) -> Samples:
+    """Return n samples at hz whose stamps are rounded down to steps, s. jitter: periods."""
+    rng = np.random.default_rng(3)
+    late = np.sort(np.arange(n) + 0.4 + jitter * rng.standard_normal(n))
+    stamps = np.floor(late / hz / step) * step
+    return Samples(Sensor.ACCELEROMETER, frozen(np.round(stamps, 6)), frozen(np.zeros((n, 3))))
+
+
+def rate_error(samples: Samples, hz: float) -> Measured:
+    return nominal_rate_error(Grid.of(samples.t, sample_period(samples.t)), hz)[0]
+
+
+@pytest.mark.parametrize(
+    ("hz", "step", "n"), [(15.0, 0.01, 400), (49.6, 0.01, 1000), (99.3, 1e-3, 400), (208.0, 1e-3, 800)]
+)
+def test_the_rate_of_few_coarse_stamps_is_as_unsure_as_it_is_wrong(hz: float, step: float, n: int) -> None:
+    """Of forty parts most hold equally many steps: the others are no outliers."""
+    samples = coarse(hz, n, step)
+    made = rate_error(samples, hz)
+    assert abs(made.value) < 1e-3
+    assert abs(made.value) < 3.0 * made.error < 0.02
+    compared = rate(samples)
+    assert abs(np.exp(compared.value[0]) / hz - 1.0) < 1e-3
+    assert abs(np.exp(compared.value[0]) / hz - 1.0) < 3.0 * np.sqrt(compared.covariance[0, 0])
+
+
+def test_a_part_whose_losses_are_not_counted_moves_no_rate() -> None:
+    """Three intervals of 1.4 periods in one part are time in which no sample was made."""
+    t = np.arange(4000.0)
+    t[1000:] += 0.4
+    t[1010:] += 0.4
+    t[1020:] += 0.4
+    grid = Grid.of(t / 100.0, 0.01)
+    assert abs(nominal_rate_error(grid, 100.0)[0].value) < 1e-6
+
+
+@pytest.mark.parametrize("jitter", [0.0, 0.1])
+@pytest.mark.parametrize(("hz", "step", "n"), [(99.3, 0.01, 3000), (104.0, 0.01, 600), (833.0, 1e-3, 400)])
+def test_few_gaps_that_come_evenly_lose_nothing(hz: float, step: float, n: int, jitter: float) -> None:
+    """At 99.3 Hz in steps of 10 ms every 142nd interval is two steps long: 21 gaps in half a minute."""
+    samples = coarse(hz, n, step, jitter)
+    found = timing_findings(samples, Claims(nominal_rate_hz=hz), sound_phones())
+    assert not {"dropped_samples", "clock_skew"} & {f.effect for f in found}
+
+
+@pytest.mark.parametrize("gaps", [3, 8, 30])
+def test_few_gaps_by_chance_are_not_taken_for_even(gaps: int) -> None:
+    rng = np.random.default_rng(gaps)
+
+    def lost() -> Array:
+        return np.isin(np.arange(2000), rng.choice(2000, gaps, replace=False)).astype(float)
+
+    assert np.mean([more_even_than_chance(lost()) for _ in range(500)]) < 0.03
+
+
+def test_few_gaps_that_gather_are_not_even() -> None:
+    lost = np.zeros(2000)
+    lost[[100, 103, 108, 110, 900, 902, 909, 1500, 1501, 1506]] = 1.0
+    assert not more_even_than_chance(lost)
+
+
+def test_pieces_as_far_apart_as_they_are_known_to_be_all_count() -> None:
+    """Rounded pieces: 30 of 40 are exactly alike."""
+    pieces = np.repeat([0.0, 0.04], [30, 10])
+    assert mean_of(pieces).value == 0.0
+    assert mean_of(pieces, known=0.02).value == pytest.approx(0.01)
+    assert mean_of(pieces, known=0.009).value == 0.0
