@@ -53,6 +53,12 @@ GYRO_SCALE_SIZE = 0.2
 GYRO_PRIOR = 1.0 / np.where(np.eye(3) > 0.0, SCALE_SIZE, MISALIGNMENT_SIZE).ravel()
 """One over the prior standard deviations of its scale and misalignment in this fit, row by row."""
 
+HALVED = 15.0
+"""Every other sample of a smooth rate misses 16 times what all of them do: the rule is of fourth order."""
+
+ROUGHER = 2.0
+"""Times that error which is allowed for: a rate that is not smooth from sample to sample makes more."""
+
 FACTORS = np.exp(np.arange(-3.0, 3.01, 0.1))
 FAR, SOME = 0.25, 10
 """rad of a turn, beyond which a common factor of the rates is looked for; turns that it is taken from."""
@@ -114,6 +120,14 @@ class Turn:
         first = np.cross(self.up, np.eye(3)[np.argmin(np.abs(self.up))])
         first /= np.linalg.norm(first)
         return np.stack([first, np.cross(self.up, first)])
+
+
+def missed_between_samples(turns: list[Turn]) -> Array:
+    """Return what the samples may not tell of gravity's direction after each turn (k, 3), rad.
+
+    It is one standard deviation, and nearly the same part of it in all turns: their rates are alike.
+    """
+    return np.array([t.by_every_other() for t in turns]) * (ROUGHER / HALVED)
 
 
 Rates = Callable[[Samples], Array]
@@ -239,24 +253,45 @@ def aligned(
     norms = norms_of(bins.force, bins.force_variance, bins.rest, gravity)
     steady = rest_courses(bins.force, bins.rest)
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
-    x, mapping, errors, factor = baseline.parameters, np.eye(3), None, 1.0
-    if len(found) >= LEAST_TURNS:
-        factor = _nominal(found, steady, x)
+    if len(found) < LEAST_TURNS:
+        turns, mapping, errors = _carried(found, steady, baseline.parameters, np.eye(3)), np.eye(3), None
+    else:
+        factor = _nominal(found, steady, baseline.parameters)
         found = [replace(c, rate=factor * c.rate) for c in found]
-        for _ in range(ROUNDS):
-            step, error = _step(_carried(found, steady, x, mapping), norms, x, mapping)
-            x, mapping = x + step, mapping - error @ mapping
-            if max(np.abs(step).max(), np.abs(error).max()) < SETTLED:
-                break
-        baseline = linearised(steady, x)
-    turns = _carried(found, steady, x, mapping)
-    if len(found) >= LEAST_TURNS:
-        joint, _ = _rows(turns, norms, x, mapping)
-        errors = np.linalg.inv(np.linalg.qr(joint, mode="r"))
-    design, _ = norms.rows(x)
+        turns, x, mapping, errors = _fitted(found, steady, norms, baseline.parameters)
+        baseline, mapping = linearised(steady, x), factor * mapping
+    design, _ = norms.rows(baseline.parameters)
     unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
     bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
-    return Aligned(turns, baseline, bias, factor * mapping, unsure, errors)
+    return Aligned(turns, baseline, bias, mapping, unsure, errors)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """x: (9,) the accelerometer's parameters; mapping: (3, 3); part: of what is between the samples."""
+
+    x: Array
+    mapping: Array
+    part: float
+
+
+def _fitted(
+    found: list[Cut], steady: Array, norms: Norms, x: Array
+) -> tuple[list[Turn], Array, Array, Array]:
+    """Return turns, the accelerometer's parameters (9,), the mapping (3, 3) and the `errors` of both."""
+    fit = _Fit(x, np.eye(3), 0.0)
+    between = missed_between_samples(_carried(found, steady, fit.x, fit.mapping))
+    for _ in range(ROUNDS):
+        turns = _carried(found, steady, fit.x, fit.mapping, fit.part * between)
+        solved = np.linalg.lstsq(*_rows(turns, between, norms, fit), rcond=None)[0]
+        error = solved[10:].reshape(3, 3) @ fit.mapping
+        fit = _Fit(fit.x + solved[1:10], fit.mapping - error, fit.part + float(solved[0]))
+        if np.abs(solved[1:]).max() < SETTLED:
+            break
+    turns = _carried(found, steady, fit.x, fit.mapping, fit.part * between)
+    design, _ = _rows(turns, between, norms, fit)
+    errors = np.linalg.inv(np.linalg.qr(design, mode="r"))[1:, 1:]
+    return turns, fit.x, fit.mapping, errors
 
 
 def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
@@ -276,10 +311,14 @@ def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
     return best if miss(best) <= FAR else 1.0
 
 
-def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[Turn]:
+def _carried(
+    found: list[Cut], steady: Array, x: Array, mapping: Array, missed: Array | None = None
+) -> list[Turn]:
+    """Carry gravity through the turns. missed: (k, 3) rad, what they miss for what samples do not tell."""
     up, slope = tilted(steady, x)
+    known = np.zeros((len(found), 3)) if missed is None else missed
     out = []
-    for cut in found:
+    for cut, between in zip(found, known, strict=True):
         i, rate, dt = cut.first, cut.rate @ mapping.T, np.gradient(cut.t)
         R = matrix(attitudes(cut.t, rate))
         carried = np.einsum("ki,nkj->nij", R[-1], R) * dt[:, None, None]
@@ -291,7 +330,7 @@ def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[
                 rate,
                 carried,
                 up[i + 1],
-                up[i + 1] - R[-1].T @ up[i],
+                up[i + 1] - R[-1].T @ up[i] - between,
                 slope[i + 1] - R[-1].T @ slope[i],
                 _angle(cut.t, rate),
                 cut.temperature,
@@ -300,16 +339,11 @@ def _carried(found: list[Cut], steady: Array, x: Array, mapping: Array) -> list[
     return out
 
 
-def _step(turns: list[Turn], norms: Norms, x: Array, mapping: Array) -> tuple[Array, Array]:
-    """Return how the accelerometer's parameters (9,) change, and the error (3, 3) left in the rates."""
-    solved = np.linalg.lstsq(*_rows(turns, norms, x, mapping), rcond=None)[0]
-    return np.asarray(solved[:9]), np.asarray(solved[9:]).reshape(3, 3)
+def _rows(turns: list[Turn], between: Array, norms: Norms, fit: _Fit) -> tuple[Array, Array]:
+    """Return weighted rows (m, 19) of norm and turns, and their target (m,), about a fit.
 
-
-def _rows(turns: list[Turn], norms: Norms, x: Array, mapping: Array) -> tuple[Array, Array]:
-    """Return weighted rows (m, 18) of norm and turns, and their target (m,), about x (9,) and mapping.
-
-    The priors are of what both become, and not of the step.
+    The first column is the part of what is between samples, then come the accelerometer's nine parameters
+    and the error of the rates, row by row. The priors are of what these become, and not of the step.
     """
     y = np.concatenate([t.across() @ t.miss for t in turns])
     accel = np.concatenate([t.across() @ t.unsure for t in turns])
@@ -318,8 +352,13 @@ def _rows(turns: list[Turn], norms: Norms, x: Array, mapping: Array) -> tuple[Ar
     smaller = np.sqrt(1.0 - GYRO_PRIOR.size / y.size)
     spread = max(MAD_TO_SD * float(np.median(np.abs(y))) / smaller, 1e-5)
     weight = (np.minimum(1.0, TRUSTED * spread / np.maximum(np.abs(y), 1e-12)) ** 0.5 / spread)[:, None]
-    rows, target = norms.rows(x)
-    usual = GYRO_PRIOR * (np.eye(3) - np.linalg.inv(mapping)).ravel()
-    free = np.hstack([np.zeros((9, 9)), np.diag(GYRO_PRIOR)])
-    design = [np.hstack([rows, np.zeros((len(rows), 9))]), np.hstack([-accel, gyro]) * weight, free]
-    return np.vstack(design), np.concatenate([target, y * weight[:, 0], usual])
+    rows, target = norms.rows(fit.x)
+    usual = GYRO_PRIOR * (np.eye(3) - np.linalg.inv(fit.mapping)).ravel()
+    free = np.diag(np.concatenate([[1.0], np.zeros(9), GYRO_PRIOR]))
+    missed = np.concatenate([t.across() @ b for t, b in zip(turns, between, strict=True)])
+    design = [
+        np.pad(rows, ((0, 0), (1, 9))),
+        np.hstack([missed[:, None], -accel, gyro]) * weight,
+        free[[0, *range(10, 19)]],
+    ]
+    return np.vstack(design), np.concatenate([target, y * weight[:, 0], [-fit.part], usual])

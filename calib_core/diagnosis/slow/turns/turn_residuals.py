@@ -9,7 +9,11 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import (
+    LEAST_TURNS,
+    Aligned,
+    missed_between_samples,
+)
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 
@@ -19,13 +23,6 @@ KNOWN = 2.0
 
 WAVES = 8
 """Of a bias that wanders: those left out have a fourteenth of a walk's variance."""
-
-
-HALVED = 15.0
-"""Every other sample of a smooth rate misses 16 times what all of them do: the rule is of fourth order."""
-
-ROUGHER = 2.0
-"""Times that error which is allowed for: a rate that is not smooth from sample to sample makes more."""
 
 
 def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals | None:
@@ -60,7 +57,7 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
     n = y.size
     scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
     unsure = np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9)
-    between = np.array([t.by_every_other() for t in found]) * (ROUGHER / HALVED)
+    between = missed_between_samples(found)
     missed = np.einsum("kbi,ki->kb", across, between).reshape(n, 1)
     absorbed = np.hstack([unsure @ made.unsure, missed])
     if rounding is not None:
