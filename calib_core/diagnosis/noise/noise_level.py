@@ -92,11 +92,13 @@ def _smooth(power: Array, band: NDArray[np.bool_], averages: float) -> Array:
     """Return power (F, 3), in the band of so many neighbours that chance stays below a third of `LINE`.
 
     averages: how many the power at one frequency has. Few rests scatter it by more than a line stands out.
+    Over more than half of the band any noise would be alike.
     """
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
     scatter = OF_MEDIAN / np.sqrt(averages)
-    count = int(np.ceil(SHARED * (3.0 * scatter / np.log(LINE)) ** 2))
+    wanted = int(np.ceil(SHARED * (3.0 * scatter / np.log(LINE)) ** 2))
+    count = min(wanted, int(band.sum()) // 2)
     if count <= SHARED:
         return power
     smooth = power.copy()
