@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, posterior
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
@@ -35,7 +35,7 @@ from stillcal.calib_core.diagnosis.model.residuals import (
 )
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
 from stillcal.calib_core.diagnosis.slow.about_force import about_point
-from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS
+from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS, averaged
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
 
@@ -172,12 +172,9 @@ def _fitted(
     free = replace(residuals, views=tuple(_freed(v, residuals.gravity) for v in residuals.views))
     effects = [h for w in wanted if (h := proposed(residuals, w)) is not None]
     hypotheses = [_constants(kind, residuals), *effects]
-    whole = together(residuals, [*hypotheses, *_of_its_own(exam, kind)])
-    fit = fit_hypothesis(reduce_residuals(free, [whole]), 0)
     parts = rows_of(hypotheses)
     count = int(parts[-1][-1]) + 1
-    sizes = whole.sizes[:count]
-    value, covariance = fit.beta[:count] * sizes, fit.covariance[:count, :count] * np.outer(sizes, sizes)
+    value, covariance = _measured(free, hypotheses, _of_its_own(exam, residuals))
     turned = at_reference(residuals, hypotheses, reference_c, about)
     roughly = np.zeros(count)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
@@ -201,19 +198,41 @@ def _fitted(
     return out
 
 
-def _of_its_own(exam: Examination, kind: str) -> list[Hypothesis]:
-    """Return what a recording alone has, a step or something unknown: fitted beside, stated elsewhere.
+def _of_its_own(exam: Examination, residuals: SensorResiduals) -> list[tuple[Hypothesis, float]]:
+    """Return what a recording alone has, a step or something unknown, and the probability that it has it.
 
-    Left out, it would be a part of the constants, which would then differ too.
+    It is fitted beside, and stated elsewhere. Left out, it would be a part of the constants, which would then
+    differ too.
     """
+    looked_for = len(effects_in(residuals))
     return [
-        s.hypothesis
+        (s.hypothesis, posterior(s.finding.evidence.log_bayes_factor, looked_for))
         for s in exam.statements
         if s.hypothesis is not None
         and s.residuals is not None
-        and kind_of(s.residuals) == kind
+        and kind_of(s.residuals) == kind_of(residuals)
         and not transferable(s.hypothesis)
     ]
+
+
+def _measured(
+    residuals: SensorResiduals,
+    hypotheses: Sequence[Hypothesis],
+    beside: Sequence[tuple[Hypothesis, float]],
+) -> tuple[Array, Array]:
+    """Fit hypotheses together; return their numbers (k,) and covariance (k, k), SI.
+
+    beside: other hypotheses and how probable each of them is: the numbers are averaged over fits with and
+    without each.
+    """
+    fits, weight = [], []
+    for chosen in product((True, False), repeat=len(beside)):
+        own = [h for (h, _), there in zip(beside, chosen, strict=True) if there]
+        whole = together(residuals, [*hypotheses, *own])
+        fits.append(fit_hypothesis(reduce_residuals(residuals, [whole]), 0))
+        odds = [p if there else 1.0 - p for (_, p), there in zip(beside, chosen, strict=True)]
+        weight.append(float(np.prod(odds)))
+    return averaged(fits, np.array(weight), np.concatenate([h.sizes for h in hypotheses]))
 
 
 def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:

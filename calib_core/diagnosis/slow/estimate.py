@@ -62,7 +62,7 @@ def estimate(residuals: SensorResiduals, hypothesis: Hypothesis, others: Sequenc
     gains = np.array([f.log_likelihood for f in fits])
     weight = np.exp(gains - gains.max())
     weight /= weight.sum()
-    mean, covariance = _averaged(fits, weight, hypothesis.sizes)
+    mean, covariance = averaged(fits, weight, hypothesis.sizes)
     # The noise's scale is unknown too: sizes have Student's distribution, which varies by so much more.
     freedom = max(degrees(reduced, 0) - mean.size, 3.0)
     covariance *= freedom / (freedom - 2.0)
@@ -115,12 +115,18 @@ def _choice(hypothesis: Hypothesis) -> tuple[float, ...]:
     return tuple(v for k, v in sorted(hypothesis.grid.items()) if k not in hypothesis.effect.grid_units)
 
 
-def _averaged(fits: list[Fit], weight: Array, sizes: Array) -> tuple[Array, Array]:
-    """Mean and covariance of a mixture of fits, in SI."""
-    betas = np.array([f.beta for f in fits])
+def averaged(fits: Sequence[Fit], weight: Array, sizes: Array) -> tuple[Array, Array]:
+    """Return mean (k,) and covariance (k, k) of a mixture of fits, in SI: of their first k numbers.
+
+    weight: of each fit, with a sum of 1; sizes: (k,) the numbers' units.
+    """
+    k = sizes.size
+    betas = np.array([f.beta[:k] for f in fits])
     mean = weight @ betas
     away = betas - mean
-    total = sum(w * (f.covariance + np.outer(a, a)) for w, f, a in zip(weight, fits, away, strict=True))
+    total = sum(
+        w * (f.covariance[:k, :k] + np.outer(a, a)) for w, f, a in zip(weight, fits, away, strict=True)
+    )
     return np.asarray(mean * sizes), np.asarray(np.asarray(total) * np.outer(sizes, sizes))
 
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted, linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear import Wanted, every_linear_quantity, linear_quantities
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis import nulls
@@ -37,3 +40,38 @@ def test_a_large_effect_that_is_not_searched_for_leaves_the_constants_as_they_ar
     found = linear_quantities(exam, wanted, {"accel": 25.0})
     np.testing.assert_allclose(found[effect.name, "accel"].value, SLOPE, rtol=0.02)
     np.testing.assert_allclose(found["accel_scale", "accel"].value[3:], 0.0, atol=1e-3)
+
+
+def stepping() -> Samples:
+    """Return an hour at 2 Hz: 24 rests near the faces; the bias steps by 0.03 m/s^2 on z after the tenth."""
+    rng = np.random.default_rng(5)
+    t = np.arange(7200.0) / 2.0
+    faces = np.concatenate([np.eye(3), -np.eye(3)])
+    tilted = faces[rng.permutation(24) % 6] + rng.normal(0.0, 0.2, (24, 3))
+    up = (tilted / np.linalg.norm(tilted, axis=1, keepdims=True))[(t // 150).astype(int)]
+    force = nulls.G * up + np.outer(t > 1500.0, [0.0, 0.0, 0.03]) + rng.normal(0.0, 2e-3, (t.size, 3))
+    return Samples.checked(Sensor.ACCELEROMETER, t, frozen(force))
+
+
+def test_what_is_beside_the_constants_counts_as_much_as_it_is_probable() -> None:
+    """What was hardly likely was taken for certain, and a scale that both had was told as different."""
+    exam = examine(stepping(), None)
+    (own,) = (s for s in exam.statements if s.finding.effect == "accel_bias_step")
+
+    def bias_z(nats: float) -> tuple[float, float]:
+        evidence = replace(own.finding.evidence, log_bayes_factor=nats)
+        doubted = replace(own, finding=replace(own.finding, evidence=evidence))
+        (found,) = (
+            q
+            for q in every_linear_quantity(replace(exam, statements=[doubted]), [], {})
+            if q.effect == "accel_bias"
+        )
+        return float(found.value[2]), float(found.sigma[2])
+
+    absent = every_linear_quantity(replace(exam, statements=[]), [], {})[0].value[2]
+    (sure, narrow), (no, _), (between, wide) = (
+        bias_z(nats) for nats in (60.0, -60.0, float(np.log(len(effects_in(exam.sensors[0])))))
+    )
+    assert abs(no - absent) < 1e-9 and abs(sure - absent) > 0.005
+    np.testing.assert_allclose(between, (sure + absent) / 2.0, rtol=1e-6)
+    assert wide > abs(sure - absent) / 2.0 > narrow
