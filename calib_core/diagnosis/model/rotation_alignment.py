@@ -84,7 +84,7 @@ class Turn:
     """One turn. t: (n,) s; rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
 
     end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to
-    `miss`.
+    `miss`; between: (3,) rad, one standard deviation of what its samples may not tell of it.
     """
 
     end: float
@@ -97,6 +97,7 @@ class Turn:
     unsure: Array
     angle: float
     temperature: float
+    between: Array
 
     def columns(self, response: Array) -> Array:
         """Return what errors of the rate (n, 3, k) do to gravity's direction at the end, (3, k) rad."""
@@ -107,27 +108,11 @@ class Turn:
         turned = np.einsum("nij,nk->ijk", self.carried, self.rate).reshape(3, 9)
         return np.cross(turned.T, self.up).T
 
-    def by_every_other(self) -> Array:
-        """Return by how much every other sample takes gravity's direction at the end elsewhere, (3,) rad."""
-        rows = np.arange(self.t.size - 1, -1, -2)[::-1]
-        rows = rows if rows[0] == 0 else np.insert(rows, 0, 0)
-        carried = self.up - self.miss
-        start = matrix(attitudes(self.t, self.rate)[:, -1]) @ carried
-        return np.asarray(matrix(attitudes(self.t[rows], self.rate[rows])[:, -1]).T @ start - carried)
-
     def across(self) -> Array:
         """Return two unit vectors (2, 3) across gravity at the end."""
         first = np.cross(self.up, np.eye(3)[np.argmin(np.abs(self.up))])
         first /= np.linalg.norm(first)
         return np.stack([first, np.cross(self.up, first)])
-
-
-def missed_between_samples(turns: list[Turn]) -> Array:
-    """Return what the samples may not tell of gravity's direction after each turn (k, 3), rad.
-
-    It is one standard deviation, and nearly the same part of it in all turns: their rates are alike.
-    """
-    return np.array([t.by_every_other() for t in turns]) * (ROUGHER / HALVED)
 
 
 Rates = Callable[[Samples], Array]
@@ -280,18 +265,34 @@ def _fitted(
 ) -> tuple[list[Turn], Array, Array, Array]:
     """Return turns, the accelerometer's parameters (9,), the mapping (3, 3) and the `errors` of both."""
     fit = _Fit(x, np.eye(3), 0.0)
-    between = missed_between_samples(_carried(found, steady, fit.x, fit.mapping))
+    between = _between_samples(_carried(found, steady, fit.x, fit.mapping))
     for _ in range(ROUNDS):
-        turns = _carried(found, steady, fit.x, fit.mapping, fit.part * between)
-        solved = np.linalg.lstsq(*_rows(turns, between, norms, fit), rcond=None)[0]
+        turns = _carried(found, steady, fit.x, fit.mapping, between, part=fit.part)
+        solved = np.linalg.lstsq(*_rows(turns, norms, fit), rcond=None)[0]
         error = solved[10:].reshape(3, 3) @ fit.mapping
         fit = _Fit(fit.x + solved[1:10], fit.mapping - error, fit.part + float(solved[0]))
         if np.abs(solved[1:]).max() < SETTLED:
             break
-    turns = _carried(found, steady, fit.x, fit.mapping, fit.part * between)
-    design, _ = _rows(turns, between, norms, fit)
+    turns = _carried(found, steady, fit.x, fit.mapping, between, part=fit.part)
+    design, _ = _rows(turns, norms, fit)
     errors = np.linalg.inv(np.linalg.qr(design, mode="r"))[1:, 1:]
     return turns, fit.x, fit.mapping, errors
+
+
+def _between_samples(turns: list[Turn]) -> Array:
+    """Return `Turn.between` of turns, (k, 3) rad: nearly the same part of it is missed by all of them.
+
+    Their rates are alike.
+    """
+    out = []
+    for turn in turns:
+        rows = np.arange(turn.t.size - 1, -1, -2)[::-1]
+        rows = rows if rows[0] == 0 else np.insert(rows, 0, 0)
+        carried = turn.up - turn.miss
+        start = matrix(attitudes(turn.t, turn.rate)[:, -1]) @ carried
+        by_every_other = matrix(attitudes(turn.t[rows], turn.rate[rows])[:, -1]).T @ start
+        out.append((by_every_other - carried) * (ROUGHER / HALVED))
+    return np.array(out)
 
 
 def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
@@ -312,13 +313,19 @@ def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
 
 
 def _carried(
-    found: list[Cut], steady: Array, x: Array, mapping: Array, missed: Array | None = None
+    found: list[Cut],
+    steady: Array,
+    x: Array,
+    mapping: Array,
+    between: Array | None = None,
+    *,
+    part: float = 0.0,
 ) -> list[Turn]:
-    """Carry gravity through the turns. missed: (k, 3) rad, what they miss for what samples do not tell."""
+    """Carry gravity through the turns. between: (k, 3) as `Turn` has it; part: of it, that is missed."""
     up, slope = tilted(steady, x)
-    known = np.zeros((len(found), 3)) if missed is None else missed
+    unsure = np.zeros((len(found), 3)) if between is None else between
     out = []
-    for cut, between in zip(found, known, strict=True):
+    for cut, own in zip(found, unsure, strict=True):
         i, rate, dt = cut.first, cut.rate @ mapping.T, np.gradient(cut.t)
         R = matrix(attitudes(cut.t, rate))
         carried = np.einsum("ki,nkj->nij", R[-1], R) * dt[:, None, None]
@@ -330,16 +337,17 @@ def _carried(
                 rate,
                 carried,
                 up[i + 1],
-                up[i + 1] - R[-1].T @ up[i] - between,
+                up[i + 1] - R[-1].T @ up[i] - part * own,
                 slope[i + 1] - R[-1].T @ slope[i],
                 _angle(cut.t, rate),
                 cut.temperature,
+                own,
             )
         )
     return out
 
 
-def _rows(turns: list[Turn], between: Array, norms: Norms, fit: _Fit) -> tuple[Array, Array]:
+def _rows(turns: list[Turn], norms: Norms, fit: _Fit) -> tuple[Array, Array]:
     """Return weighted rows (m, 19) of norm and turns, and their target (m,), about a fit.
 
     The first column is the part of what is between samples, then come the accelerometer's nine parameters
@@ -355,7 +363,7 @@ def _rows(turns: list[Turn], between: Array, norms: Norms, fit: _Fit) -> tuple[A
     rows, target = norms.rows(fit.x)
     usual = GYRO_PRIOR * (np.eye(3) - np.linalg.inv(fit.mapping)).ravel()
     free = np.diag(np.concatenate([[1.0], np.zeros(9), GYRO_PRIOR]))
-    missed = np.concatenate([t.across() @ b for t, b in zip(turns, between, strict=True)])
+    missed = np.concatenate([t.across() @ t.between for t in turns])
     design = [
         np.pad(rows, ((0, 0), (1, 9))),
         np.hstack([missed[:, None], -accel, gyro]) * weight,

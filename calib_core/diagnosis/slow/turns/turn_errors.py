@@ -9,7 +9,7 @@ is stated without saying more than that.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -121,7 +121,8 @@ def _variances(made: Aligned, bins: Bins, gravity: float) -> Array:
     # The rate's noise, and its bias, which is one between those before and after.
     noise = (bins.rate_variance.mean(axis=1) * bins.duration)[ends].mean(axis=0) * lasts
     bias = ((bins.rate[ends[1]] - bins.rate[ends[0]]) ** 2).mean(axis=1) / 4.0 * lasts**2
-    return np.asarray(ended + noise + bias)
+    between = np.array([float(t.between @ t.between) / 2.0 for t in made.turns])
+    return np.asarray(ended + noise + bias + between)
 
 
 def turn_errors(
@@ -135,9 +136,6 @@ def turn_errors(
     missed = missed_turns(made, bins, gravity, found)
     if missed is None or not DirectEvidence(missed.nats()).stated:
         return None
-    # More may be allowed for: it takes long to find, and most recordings are sound without it.
-    between = np.array([float((t.by_every_other() ** 2).sum()) for t in made.turns])
-    missed = replace(missed, variance=missed.variance + between)
     size = (missed.y**2).sum(axis=1) / (missed.variance + (SOUND[1] * missed.angle) ** 2)
     seen = DirectEvidence(missed.without(int(np.argmax(size))).nats())
     part, low, high = missed.part()

@@ -9,11 +9,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
-from stillcal.calib_core.diagnosis.model.rotation_alignment import (
-    LEAST_TURNS,
-    Aligned,
-    missed_between_samples,
-)
+from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 
@@ -57,7 +53,7 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
     n = y.size
     scale = np.einsum("kbi,kip->kbp", across, np.array([t.scale_columns() for t in found])).reshape(n, 9)
     unsure = np.einsum("kbi,kip->kbp", across, np.array([t.unsure for t in found])).reshape(n, 9)
-    between = missed_between_samples(found)
+    between = np.array([t.between for t in found])
     missed = np.einsum("kbi,ki->kb", across, between).reshape(n, 1)
     absorbed = np.hstack([unsure @ made.unsure, missed])
     if rounding is not None:
