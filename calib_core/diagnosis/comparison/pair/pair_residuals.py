@@ -42,7 +42,8 @@ def pair_residuals(
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
     which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
     where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
-    their form. rounding: by sensor, the sd (3,) that coarse steps leave in a mean of what they differ by.
+    their form. rounding: by sensor, the sd (3,) that coarse steps leave in a mean of what they differ by; in
+    motion single samples have it. At rest both may read one code, by which no bin is known better than that.
     Where the motion is the same (mismatch 0) the other may lack the Earth's rotation. Raises
     NotSupported where it is too short.
     """
@@ -72,7 +73,9 @@ def pair_residuals(
         sensor: str, mean: Array, variance: Array, read: Samples, inputs: tuple[Array, Array | None]
     ) -> SensorResiduals:
         shaken = mismatch**2 * shaking(read, left)[:, None]
-        views = _views(left, mean, variance + shaken, inputs, judged)
+        count = len(read) * left.duration / (span[1] - span[0])
+        single = coarse.get(sensor, np.zeros(3)) ** 2 / count[:, None]
+        views = _views(left, mean, np.maximum(variance, single) + shaken, inputs, judged)
         return SensorResiduals(sensor, bins, views, STANDARD, up, force_powers=powers)
 
     inputs = (moved.force, None if known is None else known.force)

@@ -125,3 +125,19 @@ def test_more_than_coarse_steps_leave_is_found_on_its_axes() -> None:
     assert said.axes == ["x", "z"]
     all_lower = replace(accel, bins=replace(accel.bins, force_rounding=2.0 * sizes))
     assert judged(accel).finding(all_lower) is None
+
+
+def test_bins_that_read_one_code_at_rest_are_not_known_better_than_the_steps_of_single_samples() -> None:
+    """Steps of 0.45 m/s^2 hide a noise of 0.008: at rest both read the same, and in motion they never do."""
+    both = [in_steps(turned(seed), 0.45) for seed in (1, 101)]
+    steps = rounding([examined(one, sought=()) for one in both])
+    true = mean_readings(both[0], both[1:])
+    (accel, _) = pair_residuals(less(both[0], true), true, [], 0.0, rounding=steps)[1]
+    samples = RATE * accel.views[0].duration
+    for axis, view in enumerate(accel.views):
+        assert (view.variance >= 0.999 * 0.45**2 / 6.0 / samples).all(), "of both, step^2 / 12 each"
+        moving = view.moving is not None and view.moving > 0.0
+        assert np.mean(view.y[0, moving] ** 2 / view.variance[moving]) < 2.0, axis
+    assert judged(accel).finding(accel) is None
+    bare = pair_residuals(less(both[0], true), true, [], 0.0)[1][0]
+    assert (bare.views[0].variance < 1e-9).any()
