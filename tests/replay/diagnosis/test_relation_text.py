@@ -126,6 +126,10 @@ def test_sizes_that_are_sure_only_together_say_so(half: float, told_so: bool) ->
     }
     said = statement(finding, ("real.csv", "sim.csv"))
     assert ("it may be nothing, but not on all of them together" in said) == told_so
+    sure = {"value": value, "ci95": [[v - 1e-5, v + 1e-5] for v in value], "unit": "1/(m/s^2)"}
+    finding["parameters"] = finding["difference"] = {"quadratic": sizes, "cubic": sure}
+    said = statement(finding, ("real.csv", "sim.csv"))
+    assert "not on all of them together" not in said, "one parameter is sure by itself"
 
 
 def test_the_part_that_differs_is_shown_with_its_pairs_of_axes() -> None:

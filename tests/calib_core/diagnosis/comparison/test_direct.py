@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.direct import (
     pair_of,
@@ -148,7 +150,7 @@ def test_a_phone_that_is_never_at_rest_is_not_said_to_have_steps_that_hide_its_n
 def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
     rng, t = np.random.default_rng(4), np.arange(0.0, 300.0, 0.02)
 
-    def stepped(step: float, noise: float) -> Examination:
+    def stepped(step: float, noise: float | Array) -> Examination:
         xyz = np.array([0.3, 0.2, 9.81]) + rng.normal(0.0, noise, (t.size, 3))
         xyz[:50] += np.linspace(0.0, 2.0, 50)[:, None]
         return examine(Samples(Sensor.ACCELEROMETER, t, step * np.rint(xyz / step)), None, sought=())
@@ -162,3 +164,7 @@ def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
     assert step_of_other(found[0], finer) is None
     other = step_of_other(found[0], stepped(0.02, 0.013))
     assert other is not None and other.parameters["step"].value == pytest.approx(0.02, rel=1e-3)
+    assert step_of_other(found[0], stepped(0.011, 0.015)) is None, "finer than its noise, if not by much"
+    of_x, quiet, loud = replace(found[0], axes=["x"]), 0.013, 0.05
+    assert step_of_other(of_x, stepped(0.02, np.array([quiet, loud, loud]))) is not None
+    assert step_of_other(of_x, stepped(0.02, np.array([loud, quiet, quiet]))) is None

@@ -13,6 +13,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
+from stillcal.calib_core.diagnosis.slow.wander import size_along_gravity
 from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded
 
@@ -43,6 +44,14 @@ def test_what_was_found_at_rest_does_not_turn_into_a_scale(name: str) -> None:
     assert exam.aligned is not None and exam.gyroscope is not None
     as_read = aligned(exam.gyroscope, exam.bins, exam.claims.gravity)
     assert np.abs(exam.aligned.mapping - TRUE).max() < FARTHEST < np.abs(as_read.mapping - TRUE).max()
+
+
+@pytest.mark.slow
+def test_what_was_found_of_a_bias_is_no_wander_that_turns_allow_for() -> None:
+    exam = exam_with(WARMUP["name"])
+    accel = next(s for s in exam.sensors if s.sensor == "accel")
+    assert exam.aligned is not None
+    assert exam.aligned.wander < 0.3 * size_along_gravity(accel, [])
 
 
 @pytest.mark.slow

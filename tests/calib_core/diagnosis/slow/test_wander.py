@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
-from stillcal.calib_core.diagnosis.slow.wander import Wander, wander, wanders_of
+from stillcal.calib_core.diagnosis.slow.wander import Wander, size_along_gravity, wander, wanders_of
 from tests.support.diagnosis import nulls
 
 LIMIT = thresholds.RANDOM_WALK["gyro"]
@@ -70,3 +70,13 @@ def test_other_strong_wander_speaks_against_the_name_and_not_for_a_sound_phone()
     assert walk.walks_beyond(1.0) == pytest.approx(0.993)
     assert walk.log_bayes_factor_of_walk(1.0) == pytest.approx(np.log(0.993 / 1e-9))
     assert walk.beyond(1.0) == pytest.approx(1.0) and walk.log_bayes_factor(1.0) > np.log(1e9 / 2.0)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 5])
+def test_the_size_of_an_accelerometers_wander_is_its_standard_deviation(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    day = nulls.schedule(rng)
+    error = nulls.Wander(gm=((100.0, 0.02),)).series(rng, day.t.size)
+    bins = nulls.bins_of(rng, day, "white", accel_error=error)
+    residuals = next(s for s in by_sensor(bins, nulls.G) if s.sensor == "accel")
+    assert 0.75 < size_along_gravity(residuals, []) / float(error.std()) < 1.3

@@ -139,6 +139,25 @@ def test_what_a_wandering_bias_does_to_turns_is_in_their_noise() -> None:
     assert 0.3 < np.sqrt((sizes**2).sum()) < 3.0, "a course of 0.02 m/s^2 where 0.03 are usual"
 
 
+def test_a_bias_that_moves_by_one_standard_deviation_of_a_wave_is_one_there() -> None:
+    force, spin = walking(3e-3)
+    bins = cut(force, spin)
+    made = replace(aligned(spin, bins, G), wander=0.03)
+    middles = np.array([t.end - t.duration / 2.0 for t in made.turns])
+    phase = np.clip((bins.t - middles.min()) / np.ptp(middles), 0.0, 1.0)
+    course = 0.03 * np.sqrt(12.0) / np.pi * np.cos(np.pi * phase)[:, None] * [1.0, 0.0, 0.0]
+    found, steady = cuts(spin, bins), rest_courses(bins.force, bins.rest)
+    x = made.baseline.parameters
+    before, after = (
+        np.concatenate([t.across() @ t.miss for t in _carried(found, moved, x, made.mapping)])
+        for moved in (steady, steady + course)
+    )
+    absorbed = turn_view(made, None).absorbed
+    assert absorbed is not None
+    wave = absorbed[:, 10]
+    assert abs(wave @ (after - before)) / (wave @ wave) == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.parametrize(("density", "low", "high"), [(0.0, 0.0, 1e-3), (3e-3, 0.015, 0.06)])
 def test_turns_know_how_much_the_accelerometer_wanders(density: float, low: float, high: float) -> None:
     exam = examine(*walking(density), sought=())
