@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.segments.sample_period import more_even_than_chance, sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import nominal_rate_error, timing_findings
-from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
+from stillcal.calib_core.diagnosis.stamps.timestamps import Grid, resolution
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 
@@ -29,7 +29,8 @@ def rate_error(samples: Samples, hz: float) -> Measured:
 
 
 @pytest.mark.parametrize(
-    ("hz", "step", "n"), [(15.0, 0.01, 400), (49.6, 0.01, 1000), (99.3, 1e-3, 400), (208.0, 1e-3, 800)]
+    ("hz", "step", "n"),
+    [(15.0, 0.01, 400), (49.6, 0.01, 1000), (99.3, 1e-3, 400), (208.0, 1e-3, 800), (20.0, 0.0175, 400)],
 )
 def test_the_rate_of_few_coarse_stamps_is_as_unsure_as_it_is_wrong(hz: float, step: float, n: int) -> None:
     """Of forty parts most hold equally many steps: the others are no outliers."""
@@ -52,7 +53,7 @@ def test_a_part_whose_losses_are_not_counted_moves_no_rate() -> None:
     assert abs(nominal_rate_error(grid, 100.0)[0].value) < 1e-6
 
 
-@pytest.mark.parametrize("jitter", [0.0, 0.1])
+@pytest.mark.parametrize("jitter", [0.0, 0.1, 0.2])
 @pytest.mark.parametrize(("hz", "step", "n"), [(99.3, 0.01, 3000), (104.0, 0.01, 600), (833.0, 1e-3, 400)])
 def test_few_gaps_that_come_evenly_lose_nothing(hz: float, step: float, n: int, jitter: float) -> None:
     """At 99.3 Hz in steps of 10 ms every 142nd interval is two steps long: 21 gaps in half a minute."""
@@ -71,6 +72,14 @@ def test_few_gaps_by_chance_are_not_taken_for_even(gaps: int) -> None:
     assert np.mean([more_even_than_chance(lost()) for _ in range(500)]) < 0.03
 
 
+def test_a_gap_that_jitter_takes_back_at_once_counts_once() -> None:
+    lost = np.zeros(2000)
+    edges = 50 + 150 * np.arange(12)
+    lost[edges], lost[edges + 2], lost[edges + 5] = 1.0, -1.0, 1.0
+    assert more_even_than_chance(lost)
+    assert more_even_than_chance(-lost)
+
+
 def test_few_gaps_that_gather_are_not_even() -> None:
     lost = np.zeros(2000)
     lost[[100, 103, 108, 110, 900, 902, 909, 1500, 1501, 1506]] = 1.0
@@ -83,3 +92,37 @@ def test_pieces_as_far_apart_as_they_are_known_to_be_all_count() -> None:
     assert mean_of(pieces).value == 0.0
     assert mean_of(pieces, known=0.02).value == pytest.approx(0.01)
     assert mean_of(pieces, known=0.009).value == 0.0
+
+
+def test_a_hundredth_of_a_second_is_a_step_and_its_rounding_no_jitter() -> None:
+    samples = coarse(30.0, 3000, 0.01)
+    assert resolution(samples.t) == 0.01
+    found = timing_findings(samples, Claims(nominal_rate_hz=30.0), sound_phones())
+    assert "timestamp_jitter" not in {f.effect for f in found}
+
+
+def scattered(lost: float, *, by_intervals: bool, pause: float = 0.0) -> Grid:
+    """Return the grid of 120000 stamps at 1 Hz, with a pause, s, that scatter by half a second.
+
+    by_intervals: each interval by a tenth instead. lost: share of the samples.
+    """
+    rng = np.random.default_rng(6)
+    noise = rng.standard_normal(120_000)
+    t = np.sort(np.arange(noise.size) + (np.cumsum(0.1 * noise) if by_intervals else 0.5 * noise))
+    t[9_000:] += pause
+    t = t[rng.random(t.size) >= lost]
+    return Grid.of(t, sample_period(t))
+
+
+@pytest.mark.parametrize("pause", [0.0, 3000.0])
+def test_where_equal_numbers_take_equal_times_nothing_is_lost_though_no_grid_is_seen(pause: float) -> None:
+    grid = scattered(0.0, by_intervals=False, pause=pause)
+    assert grid.told and grid.missing().value == 0.0
+    assert not scattered(0.2, by_intervals=False).told
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.05])
+def test_intervals_that_each_scatter_tell_what_is_lost_where_they_gather_at_one_and_two(lost: float) -> None:
+    grid = scattered(lost, by_intervals=True)
+    assert grid.told
+    assert grid.missing().value == pytest.approx(lost, abs=4e-3)
