@@ -59,6 +59,8 @@ def finding(residuals: SensorResiduals, step: Step, found: Estimate, others: Seq
         if s.hypothesis.effect.name != "unknown"
     ]
     axes = named_axes(found)
+    # That there is something without a name is at least as likely as any of the names that it may have.
+    likely = [s.hypothesis for s in _shown(step)] if own.effect.name == "unknown" else []
     return Finding(
         effect=own.effect.name,
         sensor=residuals.sensor,
@@ -71,7 +73,7 @@ def finding(residuals: SensorResiduals, step: Step, found: Estimate, others: Seq
             heldout_log_score_gain=after.log_score - before.log_score,
             folds=FOLDS,
             named_in_folds=_first_in(residuals, (step.winner, after), rivals),
-            log_bayes_factor=evidence_of(residuals, own, others),
+            log_bayes_factor=max(evidence_of(residuals, h, others) for h in (own, *likely)),
         ),
         alternatives=alternatives,
         statement=sentence(found, axes, alternatives),

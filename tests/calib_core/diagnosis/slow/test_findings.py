@@ -300,14 +300,28 @@ def test_a_second_effect_that_folds_call_otherwise_stays_without_its_name(
     assert sizes_in_time(found) == pytest.approx(np.array(sizes), abs=2e-3)
 
 
+def scored(name: str, value: float, penalty: float = 0.0) -> SimpleNamespace:
+    effect = SimpleNamespace(name=name, prior_penalty=penalty)
+    return SimpleNamespace(hypothesis=SimpleNamespace(effect=effect), score=value)
+
+
+@pytest.mark.parametrize(("nameless", "order"), [(4.7, ["drift", "unknown"]), (7.4, ["unknown", "drift"])])
+def test_a_name_is_tried_before_what_has_none_and_scores_little_more(
+    nameless: float, order: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in the search: a drift of d' 20 was `unknown` and undecided, for another name had come first."""
+    tried = []
+    monkeypatch.setattr(standing, "_standing", lambda _, steps: tried.append(steps[0].winner) or [])
+    first = Step(scored("first", 8.0), (scored("unknown", nameless), scored("drift", 4.4, 1.5)))
+    assert standing.statements_of(None, [first]) == []
+    assert [s.hypothesis.effect.name for s in tried[2:]] == order
+
+
 @pytest.mark.parametrize("stands", ["named", "unknown"])
 def test_where_two_steps_do_not_stand_together_the_first_is_tried_alone_before_its_rivals(
     stands: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Beside a course that follows anything no size is known: of few rests a right name was never stated."""
-
-    def scored(name: str, value: float) -> SimpleNamespace:
-        return SimpleNamespace(hypothesis=SimpleNamespace(effect=SimpleNamespace(name=name)), score=value)
 
     first = Step(scored("named", 30.0), (scored("unknown", 28.0),))
     second = Step(scored("unknown", 10.0), ())

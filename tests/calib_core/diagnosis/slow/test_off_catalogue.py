@@ -16,9 +16,10 @@ from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, n
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Dictionary
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
+from stillcal.calib_core.diagnosis.slow import statement
 from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
 from stillcal.calib_core.diagnosis.slow.search import (
     Scored,
@@ -268,6 +269,24 @@ def test_where_neither_the_first_nor_its_first_rival_stands_the_others_are_tried
     first, second = (Scored(drifts[0], fit, period.score + more, 10.0) for more in (1.0, 2.0))
     assert findings_of(residuals, [Step(first, (second,))]) == []
     assert [f.effect for f in findings_of(residuals, [Step(first, (second, period))])] == ["unknown"]
+
+
+def test_that_something_is_there_is_as_likely_as_any_name_that_it_may_have(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A step whose name some parts did not bear out was undecided as what has none, and not told at all."""
+    day = short_day(6)
+    residuals, _ = gyro_of(6, np.outer(np.sin(2 * np.pi * day.t / 500.0), [4e-4, 0.0, -2e-4]))
+    period = ranking(residuals, effects_of("gyro"))[0]
+    drift = proposals(residuals, [e for e in effects_of("gyro") if e.name == "gyro_bias_drift"])[0]
+    name = Scored(drift, fit_hypothesis(reduce_residuals(residuals, [drift]), 0), 5.0, 10.0)
+
+    def evidence(_: object, one: Hypothesis, __: object) -> float:
+        return 5.9 if one.effect.name == "unknown" else 8.8
+
+    monkeypatch.setattr(statement, "evidence_of", evidence)
+    (found,) = findings_of(residuals, [Step(period, (name,))])
+    assert (found.effect, found.evidence.log_bayes_factor) == ("unknown", 8.8)
 
 
 @pytest.mark.slow
