@@ -23,7 +23,6 @@ from stillcal.calib_core.diagnosis.slow.search import (
     Scored,
     Step,
     adequate,
-    preferred,
     reduce_residuals,
     without_name,
 )
@@ -215,7 +214,7 @@ def _rivals(first: Step) -> list[Step]:
     """
     least = min(thresholds.SCORE, first.winner.score)
     every = [first.winner, *first.others]
-    rivals = sorted((s for s in first.others if s.score >= least), key=lambda s: -preferred(s))
+    rivals = sorted((s for s in first.others if s.score >= least), key=lambda s: -s.score)
     return [Step(s, tuple(other for other in every if other is not s)) for s in rivals]
 
 

@@ -305,16 +305,14 @@ def scored(name: str, value: float, penalty: float = 0.0) -> SimpleNamespace:
     return SimpleNamespace(hypothesis=SimpleNamespace(effect=effect), score=value)
 
 
-@pytest.mark.parametrize(("nameless", "order"), [(4.7, ["drift", "unknown"]), (7.4, ["unknown", "drift"])])
-def test_a_name_is_tried_before_what_has_none_and_scores_little_more(
-    nameless: float, order: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As in the search: a drift of d' 20 was `unknown` and undecided, for another name had come first."""
-    tried = []
-    monkeypatch.setattr(standing, "_standing", lambda _, steps: tried.append(steps[0].winner) or [])
-    first = Step(scored("first", 8.0), (scored("unknown", nameless), scored("drift", 4.4, 1.5)))
-    assert standing.statements_of(None, [first]) == []
-    assert [s.hypothesis.effect.name for s in tried[2:]] == order
+def test_names_are_preferred_as_likely_as_they_are_beforehand(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A drift of d' 20 was undecided: a warm-up that is nearly straight came first, and did not stand."""
+    drift, warm_up = scored("drift", 4.4, 1.5), scored("warm-up", 2.8)
+    sharp = {"drift": drift, "warm-up": scored("warm-up", 4.9)}
+    monkeypatch.setattr(search, "sharpened", lambda _, s, __: sharp[s.hypothesis.effect.name])
+    step = search.prefer_named(None, Step(scored("unknown", 4.7), (drift, warm_up)), ())
+    assert step.winner.hypothesis.effect.name == "drift"
+    assert [s.hypothesis.effect.name for s in step.others] == ["unknown", "warm-up"]
 
 
 @pytest.mark.parametrize("stands", ["named", "unknown"])
