@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
+from stillcal.calib_core.diagnosis.comparison.without_name import is_course, may_be_had
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 
@@ -112,7 +113,7 @@ def differences_of_samples(
     ):
         for finding in own:
             pair = partner(finding, own, others)
-            if pair is not None:
+            if pair is not None and not is_course(finding):
                 both += _paired(finding, pair) if of_recording else []
                 continue
             measured = step_of_other(finding, exams[other])
@@ -123,6 +124,7 @@ def differences_of_samples(
             unlooked = reasons[other].get((finding.effect, finding.sensor))
             reason = why_not_shown(finding, exams[other]) or unlooked
             hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)
+            reason = reason or may_be_had(finding, exams[1 - other], exams[other])
             reason = reason or _too_small(finding, exams[1 - other], exams[other])
             if reason is not None or hidden is not None:
                 why = hidden or f"{name}: {reason}"

@@ -150,6 +150,15 @@ def log_evidence(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> floa
     return max(w.log_bayes_factor(limit) for w in _of_views(residuals, reduced))
 
 
+def probability_beyond(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> float:
+    """Return the probability of more wander than a phone may have beside what is explained.
+
+    It is that of the axis which shows it best.
+    """
+    reduced, limit = reduce_residuals(residuals, [nothing(residuals)], explained), thresholds.RANDOM_WALK
+    return max(w.beyond(limit[residuals.sensor]) for w in _of_views(residuals, reduced))
+
+
 def _of_views(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Wander]:
     """Return the wander of the views that show all of it; across gravity there is what a pose has."""
     wanders = wanders_of(reduced)

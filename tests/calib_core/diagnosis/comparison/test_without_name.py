@@ -1,0 +1,61 @@
+"""What has no name in one recording and may be what the other one has as well."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.without_name import BY_NAME, SAME
+from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis import nulls
+
+RATE = np.array([1.0, -0.6, 0.4]) * 1e-4
+
+
+@cache
+def drifting(seconds: float, rests: int, seed: int, rate: float = 1.0) -> Examination:
+    """Return an accelerometer at 25 Hz, half of the time moved, whose bias drifts by `rate` times RATE."""
+    rng, t = np.random.default_rng(seed), np.arange(seconds * 25.0) / 25.0
+    up = rng.normal(size=(rests, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    at = t * rests / seconds
+    moved = (at % 1.0 > 0.5)[:, None] * rng.normal(0.0, 1.5, (t.size, 3))
+    noise = rng.normal(0.0, 7e-3, (t.size, 3))
+    force = nulls.G * up[at.astype(int)] + moved + noise + rate * np.outer(t, RATE)
+    return examine(Samples.checked(Sensor.ACCELEROMETER, t, frozen(force)), None)
+
+
+def without_a_name(found: Comparison) -> list[str]:
+    return [d.relation for d in found.discrepancies if d.effect == "unknown"]
+
+
+def reasons(found: Comparison) -> set[str]:
+    return {n.reason.partition(": ")[2] for n in found.not_compared if n.effect == "unknown"}
+
+
+@pytest.mark.parametrize(
+    ("other", "why"),
+    [
+        ((900.0, 30, 100), BY_NAME),  # as a drift
+        ((400.0, 14, 0), SAME),  # as a curve from a moment on
+        ((120.0, 6, 1), "only 37 s at rest, 74 s are needed"),
+    ],
+)
+def test_a_drift_that_few_rests_show_as_wander_is_no_difference(
+    other: tuple[float, int, int], why: str
+) -> None:
+    """The other recording has the same drift, and was said not to show it."""
+    found = compare(drifting(300.0, 14, 0), drifting(*other), ("r", "s"))
+    assert without_a_name(found) == []
+    assert why in reasons(found)
+
+
+def test_wander_that_the_other_recording_excludes_is_a_difference() -> None:
+    found = compare(drifting(300.0, 14, 0), drifting(900.0, 30, 100, rate=0.0), ("r", "s"))
+    assert without_a_name(found) == ["lacking"]
