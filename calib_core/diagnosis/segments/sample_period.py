@@ -78,13 +78,16 @@ def _evenly_apart(lost: Array) -> bool:
     """Whether the ways from gap to gap are more alike, two by two, than chance makes them (Fisher's method).
 
     By chance the first of two is anything from 1 to their sum less 1. Jitter beside a step's edge makes a gap
-    that is taken back at once; the first time counts that so many samples are missing.
+    that is taken back at once; the first time counts that so many samples are missing. The ways that rounding
+    makes differ by one; where all are the same, every so-many-th sample is lost.
     """
     from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
 
     missing = np.cumsum(lost) * np.sign(lost.sum())
     most = np.maximum.accumulate(np.concatenate([[0.0], missing]))
     apart = np.diff(np.flatnonzero(np.diff(most)))
+    if apart.size and not np.ptp(apart):
+        return False
     pairs = apart[: apart.size // 2 * 2].reshape(-1, 2)
     alike = np.maximum(np.abs(pairs[:, 0] - pairs[:, 1]), 0.5) / (pairs.sum(axis=1) - 1.0)
     return bool(pairs.size) and float(chdtrc(pairs.size, -2.0 * np.log(alike).sum())) < CHANCE

@@ -74,10 +74,17 @@ def test_few_gaps_by_chance_are_not_taken_for_even(gaps: int) -> None:
 
 def test_a_gap_that_jitter_takes_back_at_once_counts_once() -> None:
     lost = np.zeros(2000)
-    edges = 50 + 150 * np.arange(12)
+    edges = np.rint(50 + 150.4 * np.arange(12)).astype(int)
     lost[edges], lost[edges + 2], lost[edges + 5] = 1.0, -1.0, 1.0
     assert more_even_than_chance(lost)
     assert more_even_than_chance(-lost)
+
+
+def test_gaps_after_every_400th_sample_are_losses() -> None:
+    """Rounding makes ways that differ by one, unless the rate is one in hundreds."""
+    lost = np.zeros(5000)
+    lost[400::400] = 1.0
+    assert not more_even_than_chance(lost)
 
 
 def test_few_gaps_that_gather_are_not_even() -> None:
