@@ -323,9 +323,9 @@ def _carried(
 ) -> list[Turn]:
     """Carry gravity through the turns. between: (k, 3) as `Turn` has it; part: of it, that is missed."""
     up, slope = tilted(steady, x)
-    unsure = np.zeros((len(found), 3)) if between is None else between
+    untold = np.zeros((len(found), 3)) if between is None else between
     out = []
-    for cut, own in zip(found, unsure, strict=True):
+    for cut, own in zip(found, untold, strict=True):
         i, rate, dt = cut.first, cut.rate @ mapping.T, np.gradient(cut.t)
         R = matrix(attitudes(cut.t, rate))
         carried = np.einsum("ki,nkj->nij", R[-1], R) * dt[:, None, None]

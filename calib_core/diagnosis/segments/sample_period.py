@@ -59,7 +59,7 @@ def more_even_than_chance(lost: Array) -> bool:
 
     The rounding of stamps, or a wrong period, makes such gaps, and nothing is lost in them. Losses by chance
     have binomial counts, or more uneven ones where they gather. Each part is held against the next one, so
-    that losses may become more or fewer. Few gaps are judged by the way from one to the next.
+    that losses may become more or fewer. Few gaps are judged by the distance from one to the next.
     """
     from scipy.special import chdtr  # noqa: PLC0415 - the daemon stays light
 
@@ -75,11 +75,11 @@ def more_even_than_chance(lost: Array) -> bool:
 
 
 def _evenly_apart(lost: Array) -> bool:
-    """Whether the ways from gap to gap are more alike, two by two, than chance makes them (Fisher's method).
+    """Whether distances from gap to gap are more alike than chance makes them, two by two (Fisher's method).
 
     By chance the first of two is anything from 1 to their sum less 1. Jitter beside a step's edge makes a gap
-    that is taken back at once; the first time counts that so many samples are missing. The ways that rounding
-    makes differ by one; where all are the same, every so-many-th sample is lost.
+    that is taken back at once; the first time counts that so many samples are missing. Distances that
+    rounding makes differ by one; where all are the same, every so-many-th sample is lost.
     """
     from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
 

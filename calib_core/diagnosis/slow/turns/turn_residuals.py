@@ -43,8 +43,8 @@ def turn_view(made: Aligned, rounding: Array | None) -> View:
 
     The accelerometer's parameters may be off by as much as the norm of gravity leaves them unknown, its bias
     besides by how it wanders, and the rate's bias by what coarse steps do to it at rest, `rounding` (3,)
-    rad/s, where the turn dithers them. What happens between two samples turns with the course of the rates,
-    as a gyroscope's nonlinearity does: it is allowed for in all turns alike, and as much again in each.
+    rad/s, where the turn dithers them. What happens between two samples goes with the course of the rates, as
+    a gyroscope's nonlinearity does: it is allowed for in all turns alike, and as much again in each.
     `duration` holds the angle turned through, with which errors may grow.
     """
     found = made.turns

@@ -81,7 +81,7 @@ def test_a_gap_that_jitter_takes_back_at_once_counts_once() -> None:
 
 
 def test_gaps_after_every_400th_sample_are_losses() -> None:
-    """Rounding makes ways that differ by one, unless the rate is one in hundreds."""
+    """Rounding makes distances that differ by one, unless the rate is one in hundreds."""
     lost = np.zeros(5000)
     lost[400::400] = 1.0
     assert not more_even_than_chance(lost)
