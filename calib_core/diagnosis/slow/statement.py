@@ -50,9 +50,8 @@ def finding(residuals: SensorResiduals, step: Step, found: Estimate, others: Seq
     """State the effect of one step as it was estimated; others: the effects found beside it."""
     own = found.hypothesis
     before, after = _predicted(residuals, None, others), _predicted(residuals, own, others)
-    rivals = [
-        (s, _predicted(residuals, s.hypothesis, others)) for s in (*_shown(step), *_best_nameless(step))
-    ]
+    shown = _shown(step)
+    rivals = [(s, _predicted(residuals, s.hypothesis, others)) for s in (*shown, *_best_nameless(step))]
     alternatives = [
         _alternative(s, step.winner, before, each)
         for s, each in rivals
@@ -60,7 +59,7 @@ def finding(residuals: SensorResiduals, step: Step, found: Estimate, others: Seq
     ]
     axes = named_axes(found)
     # That there is something without a name is at least as likely as any of the names that it may have.
-    likely = [s.hypothesis for s in _shown(step)] if own.effect.name == "unknown" else []
+    likely = [s.hypothesis for s in shown] if own.effect.name == "unknown" else []
     return Finding(
         effect=own.effect.name,
         sensor=residuals.sensor,

@@ -27,9 +27,8 @@ def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals
         if len(made.turns) < LEAST_TURNS:
             return None
         # Waves of any size would go through few turns, and leave nothing to tell an outlier by.
-        size = (
-            np.abs(turn_view(replace(made, wander=0.0), bins.rate_rounding).left()).reshape(-1, 2).max(axis=1)
-        )
+        steady = turn_view(replace(made, wander=0.0), bins.rate_rounding)
+        size = np.abs(steady.left()).reshape(-1, 2).max(axis=1)
         kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
         made = replace(made, turns=kept)
     if len(made.turns) < LEAST_TURNS:
