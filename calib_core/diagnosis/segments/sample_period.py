@@ -77,34 +77,59 @@ def more_even_than_chance(lost: Array) -> bool:
 def _evenly_apart(lost: Array) -> bool:
     """Whether distances from gap to gap are more alike than chance makes them, two by two (Fisher's method).
 
-    By chance the first of two is anything from 1 to their sum less 1. Jitter beside a step's edge makes a gap
-    that is taken back at once; the first time counts that so many samples are missing. Distances that
-    rounding makes differ by one; where all are the same, every so-many-th sample is lost.
+    By chance the first of two is anything from 1 to their sum less 1.
     """
     from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
 
-    missing = np.cumsum(lost) * np.sign(lost.sum())
-    most = np.maximum.accumulate(np.concatenate([[0.0], missing]))
-    apart = np.diff(np.flatnonzero(np.diff(most)))
-    if apart.size and not np.ptp(apart):
-        return False
+    apart = _distances(lost)
     pairs = apart[: apart.size // 2 * 2].reshape(-1, 2)
     alike = np.maximum(np.abs(pairs[:, 0] - pairs[:, 1]), 0.5) / (pairs.sum(axis=1) - 1.0)
     return bool(pairs.size) and float(chdtrc(pairs.size, -2.0 * np.log(alike).sum())) < CHANCE
+
+
+def _distances(lost: Array) -> Array:
+    """Return the distances (m,) from gap to gap, in samples.
+
+    Jitter beside a step's edge makes a gap that is taken back at once; the first time counts that so many
+    samples are missing.
+    """
+    missing = np.cumsum(lost) * np.sign(lost.sum())
+    most = np.maximum.accumulate(np.concatenate([[0.0], missing]))
+    return np.diff(np.flatnonzero(np.diff(most)))
 
 
 def rounded_to_intervals(t: Array) -> bool:
     """Whether stamps t (n,) are rounded to steps as long as the usual interval, as 833 Hz in ms.
 
     Some intervals are then twice as long (or nothing, where the rate is higher than the steps'), more evenly
-    than losses by chance.
+    than losses by chance. Their distances differ by one. Where all are the same, every so-many-th sample is
+    lost, unless the interval is a step to which times are written (10 ms, 1 ms): then it may be either.
     """
+    usual, longer = _in_intervals(t)
+    if longer is None or not more_even_than_chance(longer):
+        return False
+    return not _equally_far_apart(longer) or abs(np.log10(usual) - np.rint(np.log10(usual))) < ON_STEPS
+
+
+def rounded_or_lost(t: Array) -> bool:
+    """Whether stamps that are `rounded_to_intervals`, as it seems, may have lost samples instead."""
+    _, longer = _in_intervals(t)
+    return longer is not None and _equally_far_apart(longer)
+
+
+def _in_intervals(t: Array) -> tuple[float, Array | None]:
+    """Return the usual interval, s, and by how many of it each is longer, if all are multiples."""
     steps = intervals(t)
     usual = float(np.median(steps)) if steps.size else 0.0
     if usual <= 0.0:
-        return False
+        return usual, None
     longer = np.rint(steps / usual) - 1.0
-    return bool(np.abs(steps / usual - 1.0 - longer).max() <= ON_STEPS) and more_even_than_chance(longer)
+    return usual, longer if np.abs(steps / usual - 1.0 - longer).max() <= ON_STEPS else None
+
+
+def _equally_far_apart(lost: Array) -> bool:
+    """Whether all distances between gaps in which samples (n,) are missing are the same."""
+    return bool(lost.sum() > 0.0) and not np.ptp(_distances(lost))
 
 
 def sample_period(t: Array) -> float:

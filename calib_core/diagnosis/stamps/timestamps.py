@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.segments.sample_period import rounded_to_intervals
+from stillcal.calib_core.diagnosis.segments.sample_period import rounded_or_lost, rounded_to_intervals
 from stillcal.calib_core.diagnosis.stamps.phase import periods_between
 from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 from stillcal.calib_core.maths.robust import bulk
@@ -106,7 +106,8 @@ class Grid:
         factor = _factor(steps, near if multiples is None else near & (multiples == 1.0))
         if multiples is None and factor == ACCUMULATING:
             multiples = _peaked(steps / period)
-        told = multiples is not None or _as_many_in_any_time(steps[steps <= LONGEST_GAP * period])
+        even = _as_many_in_any_time(steps[steps <= LONGEST_GAP * period])
+        told = multiples is not None or (even and not (rounded and rounded_or_lost(t)))
         if multiples is None:
             multiples = np.ones(steps.size)
         single = (multiples == 1.0) & (steps < 2.0 * period)

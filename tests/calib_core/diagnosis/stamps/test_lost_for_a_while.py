@@ -148,7 +148,7 @@ def test_losses_by_chance_are_no_rounding_of_stamps() -> None:
 def test_rounding_is_told_from_losses_by_even_long_intervals_of_exact_stamps() -> None:
     """It takes a few long intervals that come evenly, all of them whole numbers of the usual one."""
     rng = np.random.default_rng(19)
-    every_tenth = np.where(np.arange(2_000) % 10 == 0, 2.0, 1.0)
+    every_tenth = 1.0 + np.isin(np.arange(2_000), np.rint(10.4 * np.arange(200)))
     by_chance = 1.0 + (rng.random(2_000) < 0.4)
     scattering = every_tenth + 0.02 * rng.standard_normal(2_000)
     assert rounded_to_intervals(np.cumsum(every_tenth) / RATE)

@@ -10,7 +10,11 @@ from stillcal.calib_core.diagnosis.comparison.noise import rate
 from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.segments.sample_period import more_even_than_chance, sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import (
+    more_even_than_chance,
+    rounded_to_intervals,
+    sample_period,
+)
 from stillcal.calib_core.diagnosis.stamps.clock import nominal_rate_error, timing_findings
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid, resolution
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -80,11 +84,33 @@ def test_a_gap_that_jitter_takes_back_at_once_counts_once() -> None:
     assert more_even_than_chance(-lost)
 
 
-def test_gaps_after_every_400th_sample_are_losses() -> None:
-    """Rounding makes distances that differ by one, unless the rate is one in hundreds."""
-    lost = np.zeros(5000)
-    lost[400::400] = 1.0
-    assert not more_even_than_chance(lost)
+@pytest.mark.parametrize("n", [5000, 60_000])
+def test_every_400th_sample_that_is_missing_is_lost(n: int) -> None:
+    """Also with more than a hundred gaps, which were told as a clock that is 0.25 % slow."""
+    t = np.delete(np.arange(n) / 50.0, np.arange(400, n, 400))
+    samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(np.zeros((t.size, 3))))
+    found = timing_findings(samples, Claims(nominal_rate_hz=50.0), sound_phones())
+    assert [f.effect for f in found] == ["dropped_samples"]
+
+
+@pytest.mark.parametrize(("hz", "every"), [(99.8004, 500), (98.387097, 61), (100.0, 400)])
+def test_gaps_equally_far_apart_tell_nothing_of_stamps_that_are_written_in_such_steps(
+    hz: float, every: int
+) -> None:
+    """A twentieth of short recordings near 100 Hz had lost samples, and a clock that was fast by as much."""
+    samples, step = coarse(hz, 6000, 0.01), 0.01
+    if hz == 100.0:
+        samples = samples[np.flatnonzero(np.arange(6000) % every != every - 1)]
+    gaps = np.flatnonzero(np.diff(samples.t) > 1.5 * step)
+    assert set(np.diff(gaps)) == {every - (hz == 100.0)}
+    assert timing_findings(samples, Claims(nominal_rate_hz=hz), sound_phones()) == []
+
+
+def test_intervals_of_nothing_are_no_losses_however_even() -> None:
+    """At 50 1/8 Hz every 401st interval in steps of 20 ms is none."""
+    samples = coarse(50.125, 30_000, 0.02)
+    assert rounded_to_intervals(samples.t)
+    assert Grid.of(samples.t, sample_period(samples.t)).told
 
 
 def test_few_gaps_that_gather_are_not_even() -> None:
