@@ -42,7 +42,7 @@ from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bi
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import turn_errors
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_residuals
 from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
-from stillcal.calib_core.diagnosis.slow.wander import size_along_gravity
+from stillcal.calib_core.diagnosis.slow.wander import sizes_along_gravity
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
@@ -230,7 +230,7 @@ def _with_motion(
     gravity = exam.claims.gravity
     most = min(limits_of("gyro_saturation", direct), default=np.inf)
     rates = OffRates.of(known, exam.accelerometer, bare, gravity)
-    turned = partial(_turned, exam.gyroscope, bare, gravity, most, wander=_wander(exam))
+    turned = partial(_turned, exam.gyroscope, bare, gravity, most, moved=_wander(exam))
     turns = None
     if len(exam.bins):
         affine, turns = turned(rates)
@@ -301,26 +301,28 @@ def _turn_errors(exam: Examination) -> Finding | None:
 
 
 def _turned(
-    gyroscope: Samples, bins: Bins, gravity: float, limit: float, rates: Rates, *, wander: float
+    gyroscope: Samples, bins: Bins, gravity: float, limit: float, rates: Rates, *, moved: tuple[float, float]
 ) -> tuple[Aligned, SensorResiduals | None]:
     """Return both sensors' affine parameters and the turns under them.
 
-    wander: m/s^2, of the accelerometer's bias; the other arguments are those of `aligned`.
+    moved: m/s^2, by how much the accelerometer's bias wanders slowly, and by how much from rest to rest; the
+    other arguments are those of `aligned`.
     """
-    affine = replace(aligned(gyroscope, bins, gravity, limit, rates), wander=wander)
+    wander, scatter = moved
+    affine = replace(aligned(gyroscope, bins, gravity, limit, rates), wander=wander, scatter=scatter)
     return affine, turn_residuals(affine, bins, gravity)
 
 
-def _wander(exam: Examination) -> float:
-    """Return by how much the accelerometer's bias wanders beside what was found of it, m/s^2."""
+def _wander(exam: Examination) -> tuple[float, float]:
+    """Return how the accelerometer's bias wanders beside what was found of it: `sizes_along_gravity`."""
     sizes = [
-        size_along_gravity(
+        sizes_along_gravity(
             residuals, [s.hypothesis for s in exam.statements if s.hypothesis and s.residuals is residuals]
         )
         for residuals in exam.sensors
         if residuals.sensor == "accel"
     ]
-    return max(sizes, default=0.0)
+    return sizes[0] if sizes else (0.0, 0.0)
 
 
 def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:

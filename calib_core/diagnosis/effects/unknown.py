@@ -50,7 +50,7 @@ OF_JUMPS = (curves.pulses, curves.switches)
 """Dictionaries whose courses are several jumps."""
 
 EIGHTHS = 8
-"""Parts of a recording between which a gain in turns may change: as few turns as are needed tell no finer."""
+"""Parts of a recording between which a gain in turns is first taken to change: few turns tell it no finer."""
 
 GAIN = Linear("gain", "1", 3, 0.02)
 SLOPE = Linear("slope", "1/K", 3, 1e-3)
@@ -345,7 +345,7 @@ class GainInTurns(Unknown):
 
 
 class GainFromMomentInTurns(Unknown):
-    """A gyroscope's gain that is another from a moment on, at one of the eighths of the recording."""
+    """A gyroscope's gain that is another from a moment on, first at one of its eighths."""
 
     what = "gain"
     in_turns = True
@@ -354,8 +354,14 @@ class GainFromMomentInTurns(Unknown):
         super().__init__("gyro", "rate of turn from a moment on", GAIN, TURN_PENALTY)
 
     def points(self, moments: Moments) -> Sequence[Grid]:
-        """Return the moments: turns between rests tell them no better."""
+        """Return the moments between the eighths of the recording."""
         return [{"t_start": float(t)} for t in np.linspace(*moments.history.span, EIGHTHS + 1)[1:-1]]
+
+    def finer(self, moments: Moments, grid: Grid) -> Sequence[Grid]:
+        """Return moments within an eighth, an eighth of it apart."""
+        start, end = moments.history.span
+        away = np.linspace(-1.0, 1.0, 2 * EIGHTHS + 1) * (end - start) / EIGHTHS
+        return [{"t_start": float(t)} for t in grid["t_start"] + away]
 
     def response(self, moments: Moments, grid: Grid) -> Array:
         """Return the rate on each axis after the moment."""

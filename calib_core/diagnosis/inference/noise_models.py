@@ -119,7 +119,7 @@ def families(view: View) -> list[Family]:
 
 
 def _diagonalised(view: View) -> list[Family]:
-    whiten = np.linalg.inv(np.linalg.cholesky(_base(view)))
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance_of(view)))
     made = kinds(view)
     n, weight = view.t.size, 1.0 / (len(made) + 1)
     none, alone = np.zeros(1), np.array([weight])
@@ -136,11 +136,11 @@ def _diagonalised(view: View) -> list[Family]:
     return found
 
 
-def _base(view: View) -> Array:
+def covariance_of(view: View) -> Array:
     """White noise, errors of motion, of whole rests, what is absorbed: part of every shape (n, n)."""
     base = np.diag(view.variance if view.moving is None else view.variance + view.excess * view.moving)
-    for group, size in view.shared:
-        base = base + (group[:, None] == group[None, :]) * np.outer(size, size)
+    for columns in view.shared:
+        base = base + columns @ columns.T
     if view.absorbed is not None:
         base = base + view.absorbed @ view.absorbed.T
     return np.asarray(base + FAINTEST * float(base.diagonal().max()) * np.eye(len(base)))

@@ -102,8 +102,10 @@ class SensorResiduals:
 
         Where a gyroscope told that the phone was not nudged, a bias shows across gravity too.
         """
-        blind = effect.blind if self.bins.pose is None else ()
-        columns = self.columns_of(effect.response(self.moments, grid), blind)
+        if self.turns or self.bins.pose is None:
+            columns = self.columns(effect, grid)
+        else:
+            columns = self.columns_of(effect.response(self.moments, grid))
         return Hypothesis(effect, grid, columns, multiplicity)
 
     def companions(self, effect: Effect) -> list[Hypothesis]:

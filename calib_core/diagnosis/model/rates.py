@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.earth import RATE, Ground
-from stillcal.calib_core.diagnosis.model.residuals import View, attitudes, axis_view
+from stillcal.calib_core.diagnosis.model.residuals import View, attitudes, axis_view, of_groups
 from stillcal.calib_core.diagnosis.model.turning_support import courses, turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
@@ -105,11 +105,11 @@ def rate_views(bins: Bins, up: Array, motion: Array, over: Ground) -> list[View]
             bins.rate,
             variance,
             shared=(
-                (bins.rest, np.sqrt(rounding[a] ** 2 + heading[:, a])),
-                (place, np.sqrt(heading[:, a])),
-                (bins.rest, TWIST * tilting * np.abs(up[:, a])),
-                (bins.rest, unseen),
-                (bins.rest, between * np.abs(up[:, a])),
+                of_groups(bins.rest, np.sqrt(rounding[a] ** 2 + heading[:, a])),
+                of_groups(place, np.sqrt(heading[:, a])),
+                of_groups(bins.rest, TWIST * tilting * np.abs(up[:, a])),
+                of_groups(bins.rest, unseen),
+                of_groups(bins.rest, between * np.abs(up[:, a])),
             ),
             absorbed=np.column_stack(
                 [np.delete(linear, a, axis=1), motion[:, a], course * np.abs(up[:, a, None])]

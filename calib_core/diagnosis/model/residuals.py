@@ -35,13 +35,13 @@ class View:
     """Residuals of one kind, n bins in each of b blocks that share a covariance.
 
     y: (b, n) residual; baseline: (b, n, p) columns projected out of each block; variance: (n,) white;
-    coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the
-    sensor in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,);
-    shared: errors that groups of bins share, each the group (n,) of the bins and its sd (n,); absorbed:
-    (n, q) what parameters of the baseline do at one standard deviation of what is known of them, None for
-    none; known: degrees of freedom with which `variance` is known; moving: (n,) 1 for bins in which the
-    device moves, 0 at rest, None where nothing is judged in motion; excess: variance that moving bins have
-    besides; memo: what was computed from this view and is asked for again.
+    coupling: (n, n) how the bias of two bins is shared; project: (b, n, 3) what an error vector of the sensor
+    in a bin does to the residual; bins: (n,) indices into the recording's bins; rest: (n,); shared: noise
+    that bins share, (n, m) each, what an error does, a column at one standard deviation; absorbed: (n, q)
+    what parameters of the baseline do at one standard deviation of what is known of them, None for none;
+    known: degrees of freedom with which `variance` is known; moving: (n,) 1 for bins in which the device
+    moves, 0 at rest, None where nothing is judged in motion; excess: variance that moving bins have besides;
+    memo: what was computed from this view and is asked for again.
     """
 
     name: str
@@ -54,7 +54,7 @@ class View:
     t: Array
     duration: Array
     rest: Index
-    shared: tuple[tuple[Index, Array], ...] = ()
+    shared: tuple[Array, ...] = ()
     absorbed: Array | None = None
     known: float = WITHIN_BINS
     moving: Array | None = None
@@ -79,6 +79,11 @@ class View:
         """Return values (n,) or (n, m), taken off what `nuisance` of block 0 and `explained` may do."""
         columns = np.hstack([self.nuisance(), *explained])
         return np.asarray(values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0])
+
+
+def of_groups(group: Index, size: Array) -> Array:
+    """Return the columns (n, m) of errors, one for every group (n,). size: (n,) its sd in each bin."""
+    return np.where(group[:, None] == np.unique(group), size[:, None], 0.0)
 
 
 def axis_view(name: str, axis: int, bins: Bins, y: Array, variance: Array, **other: Any) -> View:
@@ -273,7 +278,7 @@ def norm_view(bins: Bins, baseline: Baseline, gravity: float) -> View:
         t=bins.t,
         duration=bins.duration,
         rest=bins.rest,
-        shared=() if coarse is None else ((bins.rest, np.sqrt(baseline.up**2 @ coarse**2)),),
+        shared=() if coarse is None else (of_groups(bins.rest, np.sqrt(baseline.up**2 @ coarse**2)),),
     )
 
 

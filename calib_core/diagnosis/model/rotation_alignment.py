@@ -83,10 +83,12 @@ class Cut:
 class Turn:
     """One turn. t: (n,) s; rate: (n, 3) rad/s, corrected; carried: (n, 3, 3) R_end' R(t) dt; up, miss: (3,).
 
-    end, duration: s; angle: rad turned through; unsure: (3, 9) what the accelerometer's parameters do to
-    `miss`; between: (3,) rad, one standard deviation of what its samples may not tell of it.
+    first: of the bins, that it begins at; end, duration: s; angle: rad turned through; ends: (2, 3, 9) what
+    the accelerometer's parameters do to `miss` by gravity before and after; between: (3,) rad, one standard
+    deviation of what its samples may not tell of it.
     """
 
+    first: int
     end: float
     duration: float
     t: Array
@@ -94,10 +96,15 @@ class Turn:
     carried: Array
     up: Array
     miss: Array
-    unsure: Array
+    ends: Array
     angle: float
     temperature: float
     between: Array
+
+    @property
+    def unsure(self) -> Array:
+        """What the accelerometer's parameters do to `miss`, (3, 9)."""
+        return np.asarray(self.ends.sum(axis=0))
 
     def columns(self, response: Array) -> Array:
         """Return what errors of the rate (n, 3, k) do to gravity's direction at the end, (3, k) rad."""
@@ -204,9 +211,10 @@ class Aligned:
 
     baseline: of the accelerometer, as norm and turns fit it together; bias: (3,) of the rate, at rest;
     mapping: (3, 3), takes the rate as read to the true one; unsure: (9, 9), a column a standard deviation of
-    the accelerometer's parameters, as the norm alone leaves them; errors: (18, 18), the same of these and of
-    the rate's error, row by row, as norm and turns leave them together; None with few turns. wander: m/s^2,
-    by how much the accelerometer's bias moves about its mean, one standard deviation.
+    the accelerometer's parameters, as the norm alone leaves them; away: (9,) how far off the norm alone has
+    them; errors: (18, 18), the same as `unsure` of these and of the rate's error, row by row, as norm and
+    turns leave them together; None with few turns. wander, scatter: m/s^2, by how much the accelerometer's
+    bias moves about its mean slowly, and from rest to rest, one standard deviation.
     """
 
     turns: list[Turn]
@@ -214,8 +222,10 @@ class Aligned:
     bias: Array
     mapping: Array
     unsure: Array
+    away: Array
     errors: Array | None
     wander: float = 0.0
+    scatter: float = 0.0
 
     def left_unknown(self) -> Array:
         """Return `errors`; with few turns what the norm, and a usual gyroscope's spread, leave, (18, 18)."""
@@ -245,10 +255,11 @@ def aligned(
         found = [replace(c, rate=factor * c.rate) for c in found]
         turns, x, mapping, errors = _fitted(found, steady, norms, baseline.parameters)
         baseline, mapping = linearised(steady, x), factor * mapping
-    design, _ = norms.rows(baseline.parameters)
+    design, target = norms.rows(baseline.parameters)
     unsure = np.linalg.inv(np.linalg.qr(design, mode="r"))
+    away = np.asarray(np.linalg.lstsq(design, target, rcond=None)[0], dtype=np.float64)
     bias = np.zeros(3) if bins.rate is None else np.median(bins.rate, axis=0)
-    return Aligned(turns, baseline, bias, mapping, unsure, errors)
+    return Aligned(turns, baseline, bias, mapping, unsure, away, errors)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -331,6 +342,7 @@ def _carried(
         carried = np.einsum("ki,nkj->nij", R[-1], R) * dt[:, None, None]
         out.append(
             Turn(
+                i,
                 float(cut.t[-1]),
                 float(cut.t[-1] - cut.t[0]),
                 cut.t,
@@ -338,7 +350,7 @@ def _carried(
                 carried,
                 up[i + 1],
                 up[i + 1] - R[-1].T @ up[i] - part * own,
-                slope[i + 1] - R[-1].T @ slope[i],
+                np.stack([-R[-1].T @ slope[i], slope[i + 1]]),
                 _angle(cut.t, rate),
                 cut.temperature,
                 own,

@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Parameter
-from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_residuals
+from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 GRID_PARAMETERS = ("tau_s", "period_s")
 
@@ -63,9 +63,6 @@ def estimate(residuals: SensorResiduals, hypothesis: Hypothesis, others: Sequenc
     weight = np.exp(gains - gains.max())
     weight /= weight.sum()
     mean, covariance = averaged(fits, weight, hypothesis.sizes)
-    # The noise's scale is unknown too: sizes have Student's distribution, which varies by so much more.
-    freedom = max(degrees(reduced, 0) - mean.size, 3.0)
-    covariance *= freedom / (freedom - 2.0)
     top = candidates[int(gains.argmax())]
     grid = {
         name: _quantiles(candidates, name, weight, _choice(top))

@@ -48,7 +48,8 @@ class Wander:
 
     weight, prior: (G,) probability of each shape, after and before; density: (G,) unit/sqrt(s) of its walk;
     alike: (G,) density of a walk that moves the bias as much as all of the shape's wander does; size: (G,)
-    standard deviation, unit, by which it moves the bias from one moment to another, over sqrt(2);
+    standard deviation, unit, by which it moves the bias from one moment to another, over sqrt(2); jump: (G,)
+    that of what is another in every rest;
     bounded: (G,) whether a shape is a Gauss-Markov process, a walk only at first; mixed: (G,) whether another
     wander is in it.
     """
@@ -58,6 +59,7 @@ class Wander:
     density: Array
     alike: Array
     size: Array
+    jump: Array
     bounded: NDArray[np.bool_]
     mixed: NDArray[np.bool_]
 
@@ -118,19 +120,24 @@ def wanders_of(views: Sequence[Reduced]) -> list[Wander]:
         rate = view.walk[pure].sum() / view.power[pure].sum()
         prior = np.exp(view.prior - log_sum(view.prior))
         density, size = np.sqrt(view.walk * scale), np.sqrt(view.power * scale)
-        out.append(Wander(weight, prior, density, size * np.sqrt(rate), size, bounded, mixed))
+        jump = np.sqrt(view.jump * scale)
+        out.append(Wander(weight, prior, density, size * np.sqrt(rate), size, jump, bounded, mixed))
     return out
 
 
-def size_along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> float:
+def sizes_along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> tuple[float, float]:
     """Return by how much an accelerometer's bias wanders beside what is explained, m/s^2.
 
-    It is one standard deviation about the mean, as the norm of gravity shows it, rms over the shapes.
+    The first is what moves slowly, the second what is another in every rest: each one standard deviation
+    about the mean, as the norm of gravity shows it, rms over the shapes.
     """
     reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
     pairs = zip(residuals.views, wanders_of(reduced), strict=True)
-    seen = [w for v, w in pairs if v.name == "norm"]
-    return max((float(np.sqrt(w.weight @ w.size**2)) for w in seen), default=0.0)
+    seen = next((w for v, w in pairs if v.name == "norm"), None)
+    if seen is None:
+        return 0.0, 0.0
+    slow = np.maximum(seen.size**2 - seen.jump**2, 0.0)
+    return float(np.sqrt(seen.weight @ slow)), float(np.sqrt(seen.weight @ seen.jump**2))
 
 
 def wander(residuals: SensorResiduals, reduced: Sequence[Reduced]) -> list[Finding]:

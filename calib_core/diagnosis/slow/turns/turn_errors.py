@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import (
 )
 from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_view
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import known_variances, turn_view
 
 DRIVER = "turns from rest to rest"
 
@@ -89,40 +89,18 @@ def missed_turns(made: Aligned, bins: Bins, gravity: float, found: Sequence[Hypo
     """
     if len(made.turns) < LEAST_TURNS or bins.rate is None or bins.rate_variance is None:
         return None
-    view = turn_view(made, bins.rate_rounding)
+    view = turn_view(made, bins)
     residuals = SensorResiduals("gyro", bins, (view,), gravity, None, tuple(made.turns))
-    free = [GYRO_SCALE_SIZE * view.baseline[0]]
+    free = [GYRO_SCALE_SIZE * view.baseline[0], *view.shared]
     free += [] if view.absorbed is None else [view.absorbed]
     free += [h.sizes * residuals.hypothesis(h.effect, h.grid).columns[0][0] for h in found]
     k = len(made.turns)
     return Missed(
         view.y[0].reshape(k, 2),
-        _variances(made, bins, gravity),
+        known_variances(made, bins),
         np.hstack(free).reshape(k, 2, -1),
         np.array([t.angle for t in made.turns]),
     )
-
-
-def _variances(made: Aligned, bins: Bins, gravity: float) -> Array:
-    """Return the variance (k,) rad^2 of a component that is missed for what is known of noise."""
-    assert bins.rate is not None and bins.rate_variance is not None, "asked for with a gyroscope only"
-    first = np.searchsorted(bins.t, [t.t[0] for t in made.turns]) - 1
-    ends = np.stack([first, first + 1])
-    lasts = np.array([t.duration for t in made.turns])
-    # Gravity's direction at either end: noise of a bin, what the norm leaves, and what creeps in the rest.
-    force = made.baseline.scale
-    up = (bins.force - made.baseline.bias) @ force.T
-    norm = np.linalg.norm(up, axis=1)
-    rests = np.unique(bins.rest).size
-    away = np.bincount(bins.rest, norm) / np.bincount(bins.rest) - gravity
-    misfit = float(away @ away) / max(rests - made.unsure.shape[0], 1)
-    crept = ((up / norm[:, None] - made.baseline.up) ** 2).sum(axis=1)
-    ended = ((bins.force_variance.mean(axis=1) + misfit) / gravity**2 + crept)[ends].sum(axis=0)
-    # The rate's noise, and its bias, which is one between those before and after.
-    noise = (bins.rate_variance.mean(axis=1) * bins.duration)[ends].mean(axis=0) * lasts
-    bias = ((bins.rate[ends[1]] - bins.rate[ends[0]]) ** 2).mean(axis=1) / 4.0 * lasts**2
-    between = np.array([float(t.between @ t.between) / 2.0 for t in made.turns])
-    return np.asarray(ended + noise + bias + between)
 
 
 def turn_errors(

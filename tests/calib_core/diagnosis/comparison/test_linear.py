@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.calib_core.diagnosis.model.test_rotation_alignment import GYRO, day
 from tests.support.diagnosis import nulls
 
 SLOPE = np.array([5e-3, -3e-3, 4e-3])
@@ -75,3 +76,14 @@ def test_what_is_beside_the_constants_counts_as_much_as_it_is_probable() -> None
     assert abs(no - absent) < 1e-9 and abs(sure - absent) > 0.005
     np.testing.assert_allclose(between, (sure + absent) / 2.0, rtol=1e-6)
     assert wide > abs(sure - absent) / 2.0 > narrow
+
+
+def test_the_gyroscopes_scale_of_few_turns_is_off_by_its_errors() -> None:
+    """Nine to eleven turns: squares of what it was off by were three times those of its errors."""
+    off = []
+    for seed in (1, 2, 3, 5, 7, 8, 10):
+        accelerometer, gyroscope, _ = day(seed, 12)
+        found = linear_quantities(examine(accelerometer, gyroscope, sought=()), [], {})["gyro_scale", "gyro"]
+        away = found.value - (np.linalg.inv(GYRO) - np.eye(3)).ravel()
+        off.append(away @ np.linalg.solve(found.covariance, away) / away.size)
+    assert 0.6 < np.mean(off) < 1.6

@@ -13,7 +13,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bins
-from stillcal.calib_core.diagnosis.slow.wander import size_along_gravity
+from stillcal.calib_core.diagnosis.slow.wander import sizes_along_gravity
 from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded
 
@@ -51,7 +51,7 @@ def test_what_was_found_of_a_bias_is_no_wander_that_turns_allow_for() -> None:
     exam = exam_with(WARMUP["name"])
     accel = next(s for s in exam.sensors if s.sensor == "accel")
     assert exam.aligned is not None
-    assert exam.aligned.wander < 0.3 * size_along_gravity(accel, [])
+    assert exam.aligned.wander < 0.3 * sizes_along_gravity(accel, [])[0]
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
-from stillcal.calib_core.diagnosis.slow.wander import Wander, size_along_gravity, wander, wanders_of
+from stillcal.calib_core.diagnosis.slow.wander import Wander, sizes_along_gravity, wander, wanders_of
 from tests.support.diagnosis import nulls
 
 LIMIT = thresholds.RANDOM_WALK["gyro"]
@@ -66,7 +66,9 @@ def test_other_strong_wander_speaks_against_the_name_and_not_for_a_sound_phone()
     """Shapes: a sound wander, a strong flicker, a strong walk; the data rule out the first alone."""
     plain = np.zeros(3, dtype=bool)
     weight, alike = np.array([1e-9, 0.007, 0.993]), np.array([0.5, 9.0, 10.0])
-    walk = Wander(weight, np.array([0.4, 0.2, 0.4]), np.array([0.0, 0.0, 10.0]), alike, alike, plain, plain)
+    walk = Wander(
+        weight, np.array([0.4, 0.2, 0.4]), np.array([0.0, 0.0, 10.0]), alike, alike, alike, plain, plain
+    )
     assert walk.walks_beyond(1.0) == pytest.approx(0.993)
     assert walk.log_bayes_factor_of_walk(1.0) == pytest.approx(np.log(0.993 / 1e-9))
     assert walk.beyond(1.0) == pytest.approx(1.0) and walk.log_bayes_factor(1.0) > np.log(1e9 / 2.0)
@@ -79,4 +81,4 @@ def test_the_size_of_an_accelerometers_wander_is_its_standard_deviation(seed: in
     error = nulls.Wander(gm=((100.0, 0.02),)).series(rng, day.t.size)
     bins = nulls.bins_of(rng, day, "white", accel_error=error)
     residuals = next(s for s in by_sensor(bins, nulls.G) if s.sensor == "accel")
-    assert 0.75 < size_along_gravity(residuals, []) / float(error.std()) < 1.3
+    assert 0.75 < np.hypot(*sizes_along_gravity(residuals, [])) / float(error.std()) < 1.3

@@ -11,7 +11,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.model.residuals import rest_courses
+from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_courses
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, _carried, aligned, cuts
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
@@ -80,7 +80,8 @@ def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
     for f in found:
         low, high = np.moveaxis(np.array(f.parameters["gain"].ci95), -1, 0)
         np.testing.assert_allclose(f.parameters["gain"].value, 0.01, atol=0.004)
-        assert ((low < 0.01) & (high > 0.01)).sum() >= 2
+        # Of the rate as read, which is up to 2 % off, and without what is slower than 0.05 rad/s.
+        assert ((low < 0.0103) & (high > 0.0097)).sum() >= 2
 
 
 def test_turns_that_reach_a_limit_tell_nothing_of_linearity() -> None:
@@ -138,9 +139,9 @@ def test_what_a_wandering_bias_does_to_turns_is_in_their_noise() -> None:
     course = 0.02 * np.cos(np.pi * (bins.t - bins.t[0]) / np.ptp(bins.t))[:, None] * [1.0, -0.5, 0.0]
     course[:, 2] = 0.01 * np.cos(3.0 * np.pi * (bins.t - bins.t[0]) / np.ptp(bins.t))
     more = missed_by_course(spin, bins, made, course)
-    absorbed = turn_view(made, None).absorbed
-    assert absorbed is not None and absorbed.shape[1] == 10 + 3 * WAVES
-    waves = absorbed[:, 10:]
+    absorbed = turn_view(made, bins).absorbed
+    assert absorbed is not None and absorbed.shape[1] >= 10 + 3 * WAVES
+    waves = absorbed[:, 10 : 10 + 3 * WAVES]
     sizes = np.linalg.lstsq(waves, more, rcond=None)[0]
     assert np.linalg.norm(more - waves @ sizes) < 0.1 * np.linalg.norm(more)
     assert 0.3 < np.sqrt((sizes**2).sum()) < 3.0, "a course of 0.02 m/s^2 where 0.03 are usual"
@@ -154,10 +155,39 @@ def test_a_bias_that_moves_by_one_standard_deviation_of_a_wave_is_one_there() ->
     phase = np.clip((bins.t - middles.min()) / np.ptp(middles), 0.0, 1.0)
     course = 0.03 * np.sqrt(12.0) / np.pi * np.cos(np.pi * phase)[:, None] * [1.0, 0.0, 0.0]
     more = missed_by_course(spin, bins, made, course)
-    absorbed = turn_view(made, None).absorbed
+    absorbed = turn_view(made, bins).absorbed
     assert absorbed is not None
     wave = absorbed[:, 10]
     assert abs(wave @ more) / (wave @ wave) == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_a_rest_has_anew_is_in_the_turns_before_and_after_it() -> None:
+    force, spin = walking(0.0)
+    bins = cut(force, spin)
+    made = replace(aligned(spin, bins, G), scatter=0.02)
+    (rests,) = turn_view(made, bins).shared
+    met = np.unique(bins.rest)
+    for rest in (3, 17, met.size - 1):
+        course = np.where(bins.rest[:, None] == rest, [0.02, -0.04, 0.0], 0.0)
+        more = missed_by_course(spin, bins, made, course)
+        own = rests[:, 3 * rest : 3 * rest + 3]
+        assert (np.abs(more) > 1e-4).sum() == 2 * (2 if rest < met.size - 1 else 1)
+        np.testing.assert_allclose(own @ [1.0, -2.0, 0.0], -more, atol=0.03 * np.abs(more).max())
+
+
+def test_turns_are_judged_where_the_norm_alone_has_the_accelerometer() -> None:
+    """The fit of both goes through few turns, and what it leaves of them says nothing of their noise."""
+    force, spin, _ = day(3, 14)
+    bins = cut(force, spin)
+    made = aligned(spin, bins, G)
+    alone = fit_baseline(bins.force, bins.force_variance, bins.rest, G).parameters
+    assert np.abs(made.away).max() > 1e-3
+    np.testing.assert_allclose(
+        made.baseline.parameters + made.away, alone, atol=0.1 * np.abs(made.away).max()
+    )
+    turns = _carried(cuts(spin, bins), rest_courses(bins.force, bins.rest), alone, made.mapping)
+    missed = np.concatenate([t.across() @ t.miss for t in turns])
+    np.testing.assert_allclose(turn_view(made, bins).y[0], missed, atol=0.05 * np.abs(missed).max())
 
 
 @pytest.mark.parametrize(("density", "low", "high"), [(0.0, 0.0, 1e-3), (3e-3, 0.015, 0.06)])
