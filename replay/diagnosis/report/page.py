@@ -32,7 +32,7 @@ from stillcal.replay.diagnosis.words.names import (
 from stillcal.replay.diagnosis.words.next_recording import to_record
 from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, side_of, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
-from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in
+from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in, within
 from stillcal.replay.palette import BLUE, GREEN, RED
 
 STYLE = (
@@ -253,13 +253,11 @@ def element_labels(finding: Mapping[str, Any], name: str, size: int) -> list[str
 
 
 def _number(parameter: Mapping[str, Any], i: int, scale: tuple[float, str]) -> str:
-    """Return one number of a parameter with half of its interval, in a given unit."""
+    """Return one number of a parameter with its interval, in a given unit."""
     factor, unit = scale
-    value = float(np.ravel(parameter["value"])[i]) * factor
-    half = 0.0
-    if "ci95" in parameter:
-        half = float(np.ptp(np.reshape(parameter["ci95"], (-1, 2))[i])) / 2.0 * factor
-    return f"{plain(value, half or None)} {unit}".strip()
+    value = float(np.ravel(parameter["value"])[i])
+    low, high = np.reshape(parameter["ci95"], (-1, 2))[i].tolist() if "ci95" in parameter else (value, value)
+    return f"{within(value * factor, low * factor, high * factor)} {unit}".strip()
 
 
 def _cell(finding: Mapping[str, Any], side: str, name: str, shown: Sequence[int]) -> str:

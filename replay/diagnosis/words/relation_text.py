@@ -25,7 +25,7 @@ from stillcal.replay.diagnosis.words.names import (
     parameter_noun,
     simulation_text,
 )
-from stillcal.replay.diagnosis.words.units import plain, shown_in
+from stillcal.replay.diagnosis.words.units import plain, shown_in, within
 
 AXES = "xyz"
 
@@ -51,7 +51,7 @@ def labels_of(name: str, count: int) -> list[str]:
 def with_interval(
     name: str, parameter: Mapping[str, Any], shown: Sequence[int], beside: Sequence[Mapping[str, Any]] = ()
 ) -> str:
-    """Return the numbers `shown` of a parameter, each with its label and half of its 95 % interval, if any.
+    """Return the numbers `shown` of a parameter, each with its label and 95 % interval, if any.
 
     beside: the same parameter of the other sides; all are given in the unit that fits the largest.
     """
@@ -59,14 +59,13 @@ def with_interval(
     labels = labels_of(name, values.size)
     sides = [values, *(np.asarray(p["value"], dtype=np.float64).ravel() for p in beside)]
     factor, unit = shown_in([side[list(shown)] for side in sides], parameter["unit"], name)
-    halves = np.zeros(values.size)
+    bounds = np.repeat(values[:, None], 2, axis=1)
     if "ci95" in parameter:
-        halves = np.ptp(np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2), axis=1) / 2.0
-    texts = []
-    for i in shown:
-        number = plain(values[i] * factor, halves[i] * factor or None)
-        texts.append(f"{labels[i]} {number} {unit}".strip())
-    return ", ".join(texts)
+        bounds = np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2)
+    numbers = [f"{within(values[i] * factor, *(bounds[i] * factor))} {unit}".strip() for i in shown]
+    if labels == list(AXES) and len(numbers) == len(AXES) and len(set(numbers)) == 1:
+        return f"{numbers[0]} on each axis"
+    return ", ".join(f"{labels[i]} {number}".strip() for i, number in zip(shown, numbers, strict=True))
 
 
 def shown_of(finding: Mapping[str, Any], name: str, axes: Sequence[str]) -> list[int]:

@@ -72,6 +72,9 @@ def shown_in(values: ArrayLike, unit: str, name: str = "") -> Scale:
 DIGITS, DIGITS_OF_ERROR = 3, 2
 """Significant digits of a number by itself, and of its error, which says how many the number has."""
 
+LOPSIDED = 1.5
+"""Ratio of the two parts of an interval beyond which both its ends are given."""
+
 LEAST_PLAIN = 1e-4
 """Below this size a number is written with a power of ten."""
 
@@ -89,6 +92,16 @@ def plain(value: float, error: float | None = None) -> str:
     numbers = (value,) if error is None else (value, error)
     rounded = (round(x, decimals) + 0.0 for x in numbers)
     return " ± ".join(f"{x:.{max(decimals, 0)}f}" for x in rounded)
+
+
+def within(value: float, low: float, high: float) -> str:
+    """Return a number with half of its 95 % interval, or with the interval where one side is the longer."""
+    shorter, longer = sorted((value - low, high - value))
+    if longer <= 0.0:
+        return plain(value)
+    if longer > LOPSIDED * shorter:
+        return f"{plain(value)} ({plain(low)} to {plain(high)})"
+    return plain(value, (high - low) / 2.0)
 
 
 def _is_of(unit: str, base: str) -> bool:

@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.model.records import (
 )
 from stillcal.replay.diagnosis.answer import _finding
 from stillcal.replay.diagnosis.words.names import BUILT_IN
-from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor
+from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor, with_interval
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
@@ -356,3 +356,26 @@ def test_a_sentence_after_a_parenthesis_begins_with_a_capital() -> None:
     }
     text = statement(finding, ("real.csv", BUILT_IN), "It is seen. (Or its alias is.)")
     assert text.endswith("(Or its alias is.) The built-in simulation does not show it.")
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "shown", "says"),
+    [
+        (0.9, 1.1, [0, 1, 2], "1.00 ± 0.10 s on each axis"),
+        (0.5, 2.0, [0, 1, 2], "1.00 (0.500 to 2.00) s on each axis"),
+        (0.5, 2.0, [1], "y 1.00 (0.500 to 2.00) s"),
+        (0.8, 1.4, [0], "x 1.00 (0.800 to 1.40) s"),
+        (0.8, 1.28, [0], "x 1.00 ± 0.24 s"),
+    ],
+)
+def test_one_number_for_all_axes_is_said_once_and_a_lopsided_interval_by_its_ends(
+    low: float, high: float, shown: list[int], says: str
+) -> None:
+    assert with_interval("size", {"value": [1.0] * 3, "ci95": [[low, high]] * 3, "unit": "s"}, shown) == says
+
+
+def test_numbers_that_differ_between_axes_are_given_for_each() -> None:
+    parameter = {"value": [1.0, 1.0, 2.0], "ci95": [[0.9, 1.1], [0.9, 1.1], [1.9, 2.1]], "unit": "s"}
+    assert with_interval("size", parameter, [0, 1, 2]) == "x 1.00 ± 0.10 s, y 1.00 ± 0.10 s, z 2.00 ± 0.10 s"
+    angles = {"value": [0.01] * 3, "ci95": [[0.009, 0.011]] * 3, "unit": "rad"}
+    assert with_interval("misalignment", angles, [0, 1, 2]).startswith("xy 10.0 ± 1.0 mrad, xz 10.0")
