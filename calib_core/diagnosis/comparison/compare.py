@@ -56,6 +56,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 
@@ -195,7 +196,8 @@ def _sides(
     reference = _reference_temperature(exams[0].bins, exams[1].bins, steady)
     asked = list(zip(exams, wanted, strict=True))
     about = exams[0].column_means
-    sides = [_quantities(exam, own, reference, about) for exam, own in asked]
+    slowest = max(sample_period(exam.accelerometer.t) for exam, _ in asked)
+    sides = [_quantities(exam, own, reference, about, slowest) for exam, own in asked]
     for sensor, at in crossing_temperatures(sides, reference).items():
         crossed = [linear_quantities(exam, own, reference | {sensor: at}, about) for exam, own in asked]
         if all(agree(crossed, (effect.removesuffix("_temperature"), sensor)) for effect in SHIFTED):
@@ -330,8 +332,9 @@ def _quantities(
     wanted: Sequence[Wanted],
     reference_c: Mapping[str, float],
     about: Mapping[str, float],
+    slowest: float,
 ) -> dict[Key, Quantity]:
-    """Return all that one recording shows, by effect and sensor."""
+    """Return all that one recording shows, by effect and sensor. slowest: s, the longer period of the two."""
     out = linear_quantities(exam, wanted, reference_c, about) | noise.densities(exam)
     for residuals in exam.sensors:
         if len(residuals.bins) < thresholds.LEAST_BINS:
@@ -341,7 +344,7 @@ def _quantities(
         if (slow := noise.slow_noise(exam, residuals, asked)) is not None:
             out[slow.effect, slow.sensor] = slow
     out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
-    out |= stamp_quantities(exam) | delay_quantity(exam)
+    out |= stamp_quantities(exam, slowest) | delay_quantity(exam)
     return out
 
 

@@ -80,20 +80,22 @@ def of_delay(delay: Measured, samples: Samples) -> Quantity:
     )  # fmt: skip
 
 
-def stamp_quantities(exam: Examination) -> dict[Key, Quantity]:
-    """Return what stamps and deliveries measure, logarithms; by effect and sensor, as far as they show it."""
-    return {key: quantity for key, (_, quantity) in measured_directly(exam).items()}
+def stamp_quantities(exam: Examination, period: float = 0.0) -> dict[Key, Quantity]:
+    """Return what stamps and deliveries measure, logarithms; by effect and sensor, as far as they show it.
+
+    period: s, of the samples among which deliveries in bursts are counted, at least their own.
+    """
+    return {key: quantity for key, (_, quantity) in measured_directly(exam, period).items()}
 
 
-def measured_directly(exam: Examination) -> dict[Key, tuple[Measured, Quantity]]:
+def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple[Measured, Quantity]]:
     """Return the same, each with the number on the scale of the populations of sound phones."""
     samples = exam.accelerometer
-    period = sample_period(samples.t)
     out = {}
-    for effect, measured in quantities.of_stamps(samples).items():
+    for effect, measured in quantities.of_stamps(samples, period).items():
         key = (effect, "timing")
         if effect == "timestamp_jitter":
-            sigma = _linear(measured, LEAST_JITTER, period)
+            sigma = _linear(measured, LEAST_JITTER, sample_period(samples.t))
             quantity = _logarithm(key, Part("sigma", "s", 1), sigma, LEAST_SIGMA, samples)
         else:
             floor = LEAST_DROPPED if effect == "dropped_samples" else LEAST_BURSTS

@@ -19,8 +19,12 @@ from stillcal.calib_core.diagnosis.stamps.interval_memory import Memory
 from stillcal.calib_core.streams.samples import Samples
 
 
-def of_stamps(samples: Samples) -> dict[str, Measured]:
-    """Return jitter, missing samples and bursts of one stream; what cannot be told is absent."""
+def of_stamps(samples: Samples, period: float = 0.0) -> dict[str, Measured]:
+    """Return jitter, missing samples and bursts of one stream; what cannot be told is absent.
+
+    period: s, of samples among which those that arrive together are counted, if that is longer than their
+    own: what is delivered every 5 ms comes four at a time at 800 Hz, and one at a time at 100 Hz.
+    """
     grid = grid_of(samples)
     if grid is None:
         return {}
@@ -31,7 +35,9 @@ def of_stamps(samples: Samples) -> dict[str, Measured]:
         out["timestamp_jitter"] = relative.log(stamps.LEAST_JITTER)
     arrived = clock.arrivals(samples)
     if arrived is not None:
-        share = clock.burst_share(clock.waited(samples.t, arrived, grid.period))
+        every = max(round(period / grid.period), 1)
+        waited = clock.waited(samples.t[::every], arrived[::every], every * grid.period)
+        share = clock.burst_share(waited)
         out["arrival_bursts"] = share.log(clock.LEAST_SHARE)
     return out
 

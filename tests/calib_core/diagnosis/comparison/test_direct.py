@@ -168,3 +168,25 @@ def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
     of_x, quiet, loud = replace(found[0], axes=["x"]), 0.013, 0.05
     assert step_of_other(of_x, stepped(0.02, np.array([quiet, loud, loud]))) is not None
     assert step_of_other(of_x, stepped(0.02, np.array([loud, quiet, quiet]))) is None
+
+
+def delivered(rate_hz: float, every_s: float = 0.0) -> Samples:
+    """Return five minutes that the host has after 2 ms and an exponential delay, or every so many seconds."""
+    rng = np.random.default_rng(3)
+    t = np.arange(300.0 * rate_hz) / rate_hz
+    came = np.ceil(t / every_s) * every_s if every_s else t
+    arrived = np.maximum.accumulate(came + 2e-3 + rng.exponential(1.5e-3, t.size))
+    xyz = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.01, (t.size, 3))
+    return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz), t_arrival=frozen(arrived))
+
+
+@pytest.mark.parametrize(("every_s", "differ"), [(0.0, False), (0.2, True)])
+def test_the_same_delays_of_a_host_are_as_many_bursts_at_another_rate(every_s: float, differ: bool) -> None:
+    both = [examine(delivered(*how), None, sought=()) for how in ((800.0, every_s), (50.0, 0.0))]
+    pairs = [
+        subtract(*(stamp_quantities(exam, period)["arrival_bursts", "timing"] for exam in both))
+        for period in (0.02, 0.0)
+    ]
+    found = [posterior(p.log_bayes_factor, 30) for p in pairs]
+    assert found[0] > 0.95 if differ else found[0] < 0.1
+    assert found[1] > 0.95, "each among its own samples"
