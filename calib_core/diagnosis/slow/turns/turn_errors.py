@@ -31,8 +31,8 @@ DRIVER = "turns from rest to rest"
 SOUND, FAULTY = (1e-4, 6e-3), (6e-3, 0.5)
 """Parts of the angle turned through by which gravity is missed: those of sound phones and of faulty ones.
 
-Of three real units turned by hand one, an Xsens (imu_tk), shows 0.0032 (95 %: 0.0019 to 0.0051), two
-(MPU-9150, mikoff) less than 0.0034; sound is up to twice that.
+Of two real units turned by hand an Xsens (imu_tk) has less than 0.0010, an MPU-9150 (mikoff) less than 0.0024
+(95 %); sound is up to more than twice that.
 """
 
 STEPS = 24
