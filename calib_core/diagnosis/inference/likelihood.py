@@ -544,13 +544,18 @@ def _covariance(views: Sequence[Reduced], h: int, beta: Array, likely: list[Arra
     return np.asarray(total, dtype=np.float64)
 
 
+def _likeliest_precisions(views: Sequence[Reduced], h: int, beta: Array) -> list[Array]:
+    """Return one over the likeliest variance of each view's noise (G,), under every shape."""
+    return [v.dof / (v.known + squares_left(v, h, beta)) for v in views]
+
+
 def _precisions(views: Sequence[Reduced], h: int, beta: Array, likely: Sequence[Array]) -> list[Array]:
     """Return one over the variance of each view's noise (G,), as it is expected with a hypothesis fitted.
 
     Fitted numbers leave less than the noise, as far as a view and not their prior tells them. Its scale is
     unknown: the numbers have Student's distribution, whose variance is that of the expected variance.
     """
-    likeliest = [v.dof / (v.known + squares_left(v, h, beta)) for v in views]
+    likeliest = _likeliest_precisions(views, h, beta)
     told = [_expected(v, h, r * w) for v, r, w in zip(views, likeliest, likely, strict=True)]
     whole = np.linalg.inv(sum(told) + np.eye(beta.size))
     return [
@@ -564,7 +569,7 @@ def expected_information(views: Sequence[Reduced], h: int, beta: Array, likely: 
 
     likely: the probabilities (G,) of the shapes there, view by view.
     """
-    rates = [v.dof / (v.known + squares_left(v, h, beta)) for v in views]
+    rates = _likeliest_precisions(views, h, beta)
     parts = [_expected(v, h, w * r) for v, w, r in zip(views, likely, rates, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
 
