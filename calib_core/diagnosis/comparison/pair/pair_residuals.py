@@ -15,7 +15,13 @@ from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
-from stillcal.calib_core.diagnosis.model.residuals import MISALIGNMENT_SIZE, SCALE_SIZE, View, axis_view
+from stillcal.calib_core.diagnosis.model.residuals import (
+    MISALIGNMENT_SIZE,
+    SCALE_SIZE,
+    View,
+    axis_view,
+    of_groups,
+)
 from stillcal.calib_core.diagnosis.model.sensor_residuals import EARTH
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut_all, in_motion, shaking
 from stillcal.calib_core.errors import NotSupported
@@ -42,8 +48,9 @@ def pair_residuals(
     what the other reads, which stands for the true input. mismatch: part of what shakes both within a bin by
     which their means differ; where it is 0, they should agree in motion as they do at rest, which is judged
     where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
-    their form. rounding: by sensor, the sd (3,) that coarse steps leave in a mean of what they differ by; in
-    motion single samples have it. At rest both may read one code, by which no bin is known better than that.
+    their form. rounding: by sensor, the sd (3,) that coarse steps leave in a mean of what they differ by, the
+    same in all of a rest (`_of_steps`). At rest both may read one code: no bin is known better for that than
+    if each sample had such an error of its own.
     Where the motion is the same (mismatch 0) the other may lack the Earth's rotation. Raises
     NotSupported where it is too short.
     """
@@ -74,8 +81,12 @@ def pair_residuals(
     ) -> SensorResiduals:
         shaken = mismatch**2 * shaking(read, left)[:, None]
         count = len(read) * left.duration / (span[1] - span[0])
-        single = coarse.get(sensor, np.zeros(3)) ** 2 / count[:, None]
+        error = coarse.get(sensor, np.zeros(3))
+        single = error**2 / count[:, None]
         views = _views(left, mean, np.maximum(variance, single) + shaken, inputs, judged)
+        views = tuple(
+            replace(v, shared=_of_steps(sensor, moving, e)) for v, e in zip(views, error, strict=True)
+        )
         return SensorResiduals(sensor, bins, views, STANDARD, up, force_powers=powers)
 
     inputs = (moved.force, None if known is None else known.force)
@@ -97,6 +108,21 @@ def _with_earth(residuals: SensorResiduals, rate: Samples, still: NDArray[np.boo
     """Return the gyroscope's residuals, free by the Earth's rotation, which the other sensor may lack."""
     columns = residuals.columns_of(of_ground(rate, residuals.bins, still))
     return replace(residuals, shared=Hypothesis(EARTH, {}, columns))
+
+
+def _of_steps(sensor: str, moving: Array, error: float) -> tuple[Array, ...]:
+    """Return the errors of coarse steps that bins share, as columns (n, m) of `View.shared`.
+
+    moving: (n,) 0 at rest; error: sd that steps leave in the mean of a rest. Each rest has one, for its
+    attitude makes it. A gyroscope reads its bias at rest, and all rests have the same one besides. A bin in
+    which the device moves has one of its own: how much of it the motion dithers is not known.
+    """
+    if error <= 0.0:
+        return ()
+    moves = moving > 0.0
+    rest = np.cumsum(moves | np.append(True, moves[:-1]))
+    own = of_groups(rest, np.full(moves.size, error))
+    return (own, np.where(moves[:, None], 0.0, error)) if sensor == "gyro" else (own,)
 
 
 def _views(

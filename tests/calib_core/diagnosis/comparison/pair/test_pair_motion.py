@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.motion import Motion, left_in_motion
-from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import _of_steps, pair_residuals
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.diagnosis.paired import less, mean_readings, rounding
@@ -141,3 +141,37 @@ def test_bins_that_read_one_code_at_rest_are_not_known_better_than_the_steps_of_
     assert judged(accel).finding(accel) is None
     bare = pair_residuals(less(both[0], true), true, [], 0.0)[1][0]
     assert (bare.views[0].variance < 1e-9).any()
+
+
+@pytest.mark.parametrize("both_coarse", [True, False])
+def test_what_steps_leave_of_a_rest_is_one_error_of_all_its_bins(both_coarse: bool) -> None:
+    """A bias of 0.1 m/s^2 in steps of 0.45: each rest is off by its own part of a step, long or short."""
+    one = in_steps(turned(1, lambda force, rate: (force + 0.1, rate)), 0.45)
+    other = in_steps(turned(101), 0.45) if both_coarse else turned(101)
+    steps = rounding([examined(each, sought=()) for each in (one, other)])
+    true = mean_readings(one, [other])
+    (accel, gyro) = pair_residuals(less(one, true), true, [], 0.0, rounding=steps)[1]
+    assert gyro.views[0].shared == ()
+    for axis, view in enumerate(accel.views):
+        (columns,) = view.shared
+        assert (columns.sum(axis=1) == steps["accel"][axis]).all()
+        group = columns.argmax(axis=1)
+        assert view.moving is not None
+        still = view.moving == 0.0
+        rests, moved = set(group[still]), group[~still]
+        assert len(set(moved)) == moved.size
+        assert not rests & set(moved)
+        off = np.array([view.y[0, group == k].mean() - view.y[0, still].mean() for k in rests])
+        within = np.concatenate([view.y[0, group == k] - view.y[0, group == k].mean() for k in rests])
+        assert 0.5 < np.sqrt((off**2).mean()) / steps["accel"][axis] < 1.5
+        assert np.sqrt((within**2).mean()) < 0.2 * steps["accel"][axis]
+
+
+def test_all_rests_of_a_gyroscope_share_an_error_of_steps_besides() -> None:
+    """It reads its bias in each, which steps put on one value; a motion dithers them."""
+    moving = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
+    own, common = _of_steps("gyro", moving, 2.0)
+    assert own.tolist() == (2.0 * np.eye(4)[[0, 0, 1, 2, 3]]).tolist()
+    assert common.tolist() == [[2.0], [2.0], [0.0], [0.0], [2.0]]
+    assert len(_of_steps("accel", moving, 2.0)) == 1
+    assert _of_steps("gyro", moving, 0.0) == ()
