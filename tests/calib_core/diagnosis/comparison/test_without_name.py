@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from functools import cache
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,8 +12,12 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
-from stillcal.calib_core.diagnosis.comparison.without_name import BY_NAME, SAME
+from stillcal.calib_core.diagnosis.comparison.without_name import BY_NAME, SAME, is_course, may_be_had
 from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER as REST
+from stillcal.calib_core.diagnosis.slow.statement import Stated
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis import nulls
 
@@ -59,3 +65,31 @@ def test_a_drift_that_few_rests_show_as_wander_is_no_difference(
 def test_wander_that_the_other_recording_excludes_is_a_difference() -> None:
     found = compare(drifting(300.0, 14, 0), drifting(900.0, 30, 100, rate=0.0), ("r", "s"))
     assert without_a_name(found) == ["lacking"]
+
+
+def nameless(driver: str, **sizes: float) -> Finding:
+    where = Where(0.0, 300.0, SLOW_BAND, driver)
+    parameters = {name: Parameter([size], [[size, size]], "m/s^2") for name, size in sizes.items()}
+    return Finding("unknown", "accel", ["x"], where, parameters, Evidence(log_bayes_factor=20.0), [], "")
+
+
+@pytest.mark.parametrize(
+    ("finding", "course"),
+    [
+        (nameless(NO_DRIVER, size=0.1), True),
+        (nameless(REST, size=0.1), True),
+        (nameless("time", amplitude=0.1), True),
+        (nameless("time", amplitude=0.1, period_s=60.0), False),
+        (nameless("temperature", amplitude=0.1), False),
+    ],
+)
+def test_a_course_goes_once_and_follows_time_or_nothing(finding: Finding, course: bool) -> None:
+    """What comes again after a period, or with temperature, is no matter of when it was recorded."""
+    assert is_course(finding) is course
+
+
+@pytest.mark.parametrize(("size", "why"), [(0.011, SAME), (0.009, None)])
+def test_what_is_less_than_a_tenth_as_large_is_not_the_same(size: float, why: str | None) -> None:
+    own, other = (nameless(REST, size=s) for s in (0.1, size))
+    exams = [cast(Any, SimpleNamespace(statements=[Stated(f)])) for f in (own, other)]
+    assert may_be_had(own, exams[0], exams[1]) == why
