@@ -16,7 +16,13 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, _car
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
-from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import WAVES, _waves, turn_residuals, turn_view
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import (
+    WAVES,
+    _waves,
+    known_variances,
+    turn_residuals,
+    turn_view,
+)
 from stillcal.calib_core.streams.samples import Samples
 from tests.calib_core.diagnosis.model.test_rotation_alignment import RATE, G, day
 from tests.calib_core.diagnosis.slow.test_findings import day_of
@@ -219,3 +225,15 @@ def test_what_happens_between_samples_is_no_nonlinearity() -> None:
         found = estimate(turns, turns.hypotheses(effect)[0], ())
         off.append(found.value / found.sigma)
     assert np.sqrt(np.mean(np.square(off))) < 2.0
+
+
+def test_what_samples_do_not_tell_is_in_the_variance_of_a_turn() -> None:
+    """It has two components across gravity, which share its square."""
+    force, spin = lively(1)
+    bins = cut(force, spin)
+    made = aligned(spin, bins, G)
+    told, untold = (
+        known_variances(replace(made, turns=[replace(t, between=b) for t in made.turns]), bins)
+        for b in (np.zeros(3), np.array([0.03, 0.0, 0.04]))
+    )
+    np.testing.assert_allclose(untold - told, 0.05**2 / 2.0)
