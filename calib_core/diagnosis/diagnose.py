@@ -19,11 +19,12 @@ from stillcal.calib_core.diagnosis.clear_bins import (
 )
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
+from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, Unsteady, aligned
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
@@ -230,7 +231,7 @@ def _with_motion(
     gravity = exam.claims.gravity
     most = min(limits_of("gyro_saturation", direct), default=np.inf)
     rates = OffRates.of(known, exam.accelerometer, bare, gravity)
-    turned = partial(_turned, exam.gyroscope, bare, gravity, most, moved=_wander(exam))
+    turned = partial(_turned, exam.gyroscope, bare, gravity, most, unsteady=_unsteady(exam))
     turns = None
     if len(exam.bins):
         affine, turns = turned(rates)
@@ -301,20 +302,18 @@ def _turn_errors(exam: Examination) -> Finding | None:
 
 
 def _turned(
-    gyroscope: Samples, bins: Bins, gravity: float, limit: float, rates: Rates, *, moved: tuple[float, float]
+    gyroscope: Samples, bins: Bins, gravity: float, limit: float, rates: Rates, *, unsteady: Unsteady
 ) -> tuple[Aligned, SensorResiduals | None]:
     """Return both sensors' affine parameters and the turns under them.
 
-    moved: m/s^2, by how much the accelerometer's bias wanders slowly, and by how much from rest to rest; the
-    other arguments are those of `aligned`.
+    unsteady: what turns are allowed besides noise; the other arguments are those of `aligned`.
     """
-    wander, scatter = moved
-    affine = replace(aligned(gyroscope, bins, gravity, limit, rates), wander=wander, scatter=scatter)
+    affine = replace(aligned(gyroscope, bins, gravity, limit, rates), unsteady=unsteady)
     return affine, turn_residuals(affine, bins, gravity)
 
 
-def _wander(exam: Examination) -> tuple[float, float]:
-    """Return how the accelerometer's bias wanders beside what was found of it: `sizes_along_gravity`."""
+def _unsteady(exam: Examination) -> Unsteady:
+    """Return how the accelerometer's bias moves beside what was found of it, and the stamps' jitter."""
     sizes = [
         sizes_along_gravity(
             residuals, [s.hypothesis for s in exam.statements if s.hypothesis and s.residuals is residuals]
@@ -322,7 +321,9 @@ def _wander(exam: Examination) -> tuple[float, float]:
         for residuals in exam.sensors
         if residuals.sensor == "accel"
     ]
-    return sizes[0] if sizes else (0.0, 0.0)
+    grid = None if exam.gyroscope is None else grid_of(exam.gyroscope)
+    jitter = None if grid is None else grid.jitter()
+    return Unsteady(*(sizes[0] if sizes else (0.0, 0.0)), 0.0 if jitter is None else jitter.value)
 
 
 def _seen_in_all(accelerometer: Samples, overview: Overview | None) -> float:

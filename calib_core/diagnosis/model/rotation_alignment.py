@@ -115,6 +115,15 @@ class Turn:
         turned = np.einsum("nij,nk->ijk", self.carried, self.rate).reshape(3, 9)
         return np.cross(turned.T, self.up).T
 
+    def by_stamps(self) -> float:
+        """Return by how much stamps that are off by 1 s, each by itself, move a component of it, rad.
+
+        One that is late takes from the step after it what it adds to the one before.
+        """
+        turned = self.carried / np.maximum(np.gradient(self.t), 1e-9)[:, None, None]
+        moved = np.cross(np.einsum("nij,nj->ni", turned, np.gradient(self.rate, axis=0)), self.up)
+        return float(np.sqrt((moved**2).sum() / 2.0))
+
     def across(self) -> Array:
         """Return two unit vectors (2, 3) across gravity at the end."""
         first = np.cross(self.up, np.eye(3)[np.argmin(np.abs(self.up))])
@@ -205,6 +214,19 @@ def _angle(t: Array, rate: Array) -> float:
     return float(np.linalg.norm(np.gradient(t)[:, None] * rate, axis=1).sum())
 
 
+@dataclass(frozen=True, slots=True)
+class Unsteady:
+    """What of a recording moves gravity at the end of its turns besides noise, one standard deviation.
+
+    wander, scatter: m/s^2, by how much the accelerometer's bias moves about its mean slowly, and from rest to
+    rest; jitter: s, of the gyroscope's time stamps.
+    """
+
+    wander: float = 0.0
+    scatter: float = 0.0
+    jitter: float = 0.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
     """Both sensors' affine parameters, and the turns under them.
@@ -213,8 +235,7 @@ class Aligned:
     mapping: (3, 3), takes the rate as read to the true one; unsure: (9, 9), a column a standard deviation of
     the accelerometer's parameters, as the norm alone leaves them; away: (9,) how far off the norm alone has
     them; errors: (18, 18), the same as `unsure` of these and of the rate's error, row by row, as norm and
-    turns leave them together; None with few turns. wander, scatter: m/s^2, by how much the accelerometer's
-    bias moves about its mean slowly, and from rest to rest, one standard deviation.
+    turns leave them together; None with few turns. unsteady: what else moves gravity at the end of a turn.
     """
 
     turns: list[Turn]
@@ -224,8 +245,7 @@ class Aligned:
     unsure: Array
     away: Array
     errors: Array | None
-    wander: float = 0.0
-    scatter: float = 0.0
+    unsteady: Unsteady = Unsteady()
 
     def left_unknown(self) -> Array:
         """Return `errors`; with few turns what the norm, and a usual gyroscope's spread, leave, (18, 18)."""

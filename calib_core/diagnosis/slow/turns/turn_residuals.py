@@ -91,12 +91,12 @@ def _at_rests(made: Aligned, bins: Bins) -> tuple[Array, Array]:
     ends = np.array([t.ends[:, :, :3] for t in made.turns])
     first = np.array([t.first for t in made.turns])
     at = np.stack([first, first + 1], axis=1)
-    waves = made.wander * _waves(bins.t[at])
+    waves = made.unsteady.wander * _waves(bins.t[at])
     of_waves = np.einsum("keij,kew->kijw", ends, waves).reshape(len(at), 3, -1)
     rest, own = np.unique(bins.rest[at], return_inverse=True)
     count = np.bincount(bins.rest)
     noise = np.stack([np.bincount(bins.rest, v) / count**2 for v in bins.force_variance.T], axis=1)
-    sizes = np.sqrt(noise[rest] + made.scatter**2)
+    sizes = np.sqrt(noise[rest] + made.unsteady.scatter**2)
     of_rests = np.zeros((len(at), 3, rest.size, 3))
     for e, which in enumerate(own.reshape(at.shape).T):
         of_rests[np.arange(len(at)), :, which] += ends[:, e] * sizes[which][:, None, :]
@@ -116,8 +116,8 @@ def _waves(t: Array) -> Array:
 def known_variances(made: Aligned, bins: Bins) -> Array:
     """Return the variance (k,) rad^2 of a component that turns miss by the noise of each alone.
 
-    Of the rate it is noise, and a bias that is another before and after; of gravity's direction it is what
-    creeps in a rest.
+    Of the rate it is noise, a bias that is another before and after, and stamps that jitter; of gravity's
+    direction it is what creeps in a rest.
     """
     assert bins.rate is not None and bins.rate_variance is not None, "turns are of a gyroscope"
     first = np.array([t.first for t in made.turns])
@@ -129,7 +129,8 @@ def known_variances(made: Aligned, bins: Bins) -> Array:
     noise = (bins.rate_variance.mean(axis=1) * bins.duration)[ends].mean(axis=0) * lasts
     bias = ((bins.rate[ends[1]] - bins.rate[ends[0]]) ** 2).mean(axis=1) / 4.0 * lasts**2
     between = np.array([float(t.between @ t.between) / 2.0 for t in made.turns])
-    return np.asarray(crept + noise + bias + between)
+    stamped = np.array([made.unsteady.jitter * t.by_stamps() for t in made.turns])
+    return np.asarray(crept + noise + bias + between + stamped**2)
 
 
 def _unforeseen(view: View) -> Array:

@@ -51,7 +51,7 @@ def test_what_was_found_of_a_bias_is_no_wander_that_turns_allow_for() -> None:
     exam = exam_with(WARMUP["name"])
     accel = next(s for s in exam.sensors if s.sensor == "accel")
     assert exam.aligned is not None
-    assert exam.aligned.wander < 0.3 * sizes_along_gravity(accel, [])[0]
+    assert exam.aligned.unsteady.wander < 0.3 * sizes_along_gravity(accel, [])[0]
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_courses
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, _carried, aligned, cuts
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Unsteady, _carried, aligned, cuts
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
@@ -141,7 +141,7 @@ def test_what_a_wandering_bias_does_to_turns_is_in_their_noise() -> None:
     """A bias that moves by two waves, put into the rests alone: all other things stay as they are."""
     force, spin = walking(3e-3)
     bins = cut(force, spin)
-    made = replace(aligned(spin, bins, G), wander=0.03)
+    made = replace(aligned(spin, bins, G), unsteady=Unsteady(wander=0.03))
     course = 0.02 * np.cos(np.pi * (bins.t - bins.t[0]) / np.ptp(bins.t))[:, None] * [1.0, -0.5, 0.0]
     course[:, 2] = 0.01 * np.cos(3.0 * np.pi * (bins.t - bins.t[0]) / np.ptp(bins.t))
     more = missed_by_course(spin, bins, made, course)
@@ -156,7 +156,7 @@ def test_what_a_wandering_bias_does_to_turns_is_in_their_noise() -> None:
 def test_a_bias_that_moves_by_one_standard_deviation_of_a_wave_is_one_there() -> None:
     force, spin = walking(3e-3)
     bins = cut(force, spin)
-    made = replace(aligned(spin, bins, G), wander=0.03)
+    made = replace(aligned(spin, bins, G), unsteady=Unsteady(wander=0.03))
     middles = np.array([t.end - t.duration / 2.0 for t in made.turns])
     phase = np.clip((bins.t - middles.min()) / np.ptp(middles), 0.0, 1.0)
     course = 0.03 * np.sqrt(12.0) / np.pi * np.cos(np.pi * phase)[:, None] * [1.0, 0.0, 0.0]
@@ -170,7 +170,7 @@ def test_a_bias_that_moves_by_one_standard_deviation_of_a_wave_is_one_there() ->
 def test_what_a_rest_has_anew_is_in_the_turns_before_and_after_it() -> None:
     force, spin = walking(0.0)
     bins = cut(force, spin)
-    made = replace(aligned(spin, bins, G), scatter=0.02)
+    made = replace(aligned(spin, bins, G), unsteady=Unsteady(scatter=0.02))
     (rests,) = turn_view(made, bins).shared
     met = np.unique(bins.rest)
     for rest in (3, 17, met.size - 1):
@@ -196,10 +196,28 @@ def test_turns_are_judged_where_the_norm_alone_has_the_accelerometer() -> None:
     np.testing.assert_allclose(turn_view(made, bins).y[0], missed, atol=0.05 * np.abs(missed).max())
 
 
+def test_what_stamps_that_jitter_do_to_turns_is_in_their_noise() -> None:
+    """Stamps of 25 Hz that are off by 1 ms, of a hand that shakes."""
+    off, told = [], []
+    for seed in range(4):
+        force, spin = lively(seed)
+        bins = cut(force, spin)
+        made = aligned(spin, bins, G)
+        told += [1e-3 * t.by_stamps() for t in made.turns]
+        late = replace(spin, t=spin.t + np.random.default_rng(seed).normal(0.0, 1e-3, spin.t.size))
+        x, steady = made.baseline.parameters, rest_courses(bins.force, bins.rest)
+        before, after = (_carried(cuts(s, bins), steady, x, made.mapping) for s in (spin, late))
+        off += [b.across() @ b.miss - a.across() @ a.miss for a, b in zip(before, after, strict=True)]
+        jittered = known_variances(replace(made, unsteady=Unsteady(jitter=1e-3)), bins)
+        added = np.sqrt(jittered - known_variances(made, bins))
+        np.testing.assert_allclose(added, told[-len(made.turns) :], rtol=1e-6)
+    assert 0.8 < np.sqrt(np.mean(np.square(np.array(off) / np.array(told)[:, None]))) < 1.25
+
+
 @pytest.mark.parametrize(("density", "low", "high"), [(0.0, 0.0, 1e-3), (3e-3, 0.015, 0.06)])
 def test_turns_know_how_much_the_accelerometer_wanders(density: float, low: float, high: float) -> None:
     exam = examine(*walking(density), sought=())
-    assert exam.aligned is not None and low <= exam.aligned.wander <= high
+    assert exam.aligned is not None and low <= exam.aligned.unsteady.wander <= high
 
 
 @pytest.mark.parametrize("seed", [2, 5, 7])
@@ -208,7 +226,7 @@ def test_a_little_wander_leaves_all_turns_in(seed: int) -> None:
     force, spin, _ = day(seed, 24)
     bins = cut(force, spin)
     made = aligned(spin, bins, G)
-    still, wandering = (turn_residuals(replace(made, wander=w), bins, G) for w in (0.0, 2e-4))
+    still, wandering = (turn_residuals(replace(made, unsteady=Unsteady(w)), bins, G) for w in (0.0, 2e-4))
     assert still is not None and wandering is not None
     assert len(wandering.turns) == len(still.turns)
 
