@@ -114,15 +114,15 @@ def _of_steps(sensor: str, moving: Array, error: float) -> tuple[Array, ...]:
     """Return the errors of coarse steps that bins share, as columns (n, m) of `View.shared`.
 
     moving: (n,) 0 at rest; error: sd that steps leave in the mean of a rest. Each rest has one, for its
-    attitude makes it. A gyroscope reads its bias at rest, and all rests have the same one besides. A bin in
-    which the device moves has one of its own: how much of it the motion dithers is not known.
+    attitude makes it. A bin in which the device moves has one of its own: how much of it the motion dithers
+    is not known. A gyroscope reads its bias in all rests, and whenever it moves little: all bins share one.
     """
     if error <= 0.0:
         return ()
     moves = moving > 0.0
     rest = np.cumsum(moves | np.append(True, moves[:-1]))
     own = of_groups(rest, np.full(moves.size, error))
-    return (own, np.where(moves[:, None], 0.0, error)) if sensor == "gyro" else (own,)
+    return (own, np.full((moves.size, 1), error)) if sensor == "gyro" else (own,)
 
 
 def _views(

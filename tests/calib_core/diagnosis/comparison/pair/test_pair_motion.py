@@ -167,11 +167,11 @@ def test_what_steps_leave_of_a_rest_is_one_error_of_all_its_bins(both_coarse: bo
         assert np.sqrt((within**2).mean()) < 0.2 * steps["accel"][axis]
 
 
-def test_all_rests_of_a_gyroscope_share_an_error_of_steps_besides() -> None:
-    """It reads its bias in each, which steps put on one value; a motion dithers them."""
+def test_all_bins_of_a_gyroscope_share_an_error_of_steps_besides() -> None:
+    """It reads its bias in each rest, which steps put on one value: that was told as another bias."""
     moving = np.array([0.0, 0.0, 1.0, 1.0, 0.0])
     own, common = _of_steps("gyro", moving, 2.0)
     assert own.tolist() == (2.0 * np.eye(4)[[0, 0, 1, 2, 3]]).tolist()
-    assert common.tolist() == [[2.0], [2.0], [0.0], [0.0], [2.0]]
+    assert common.tolist() == [[2.0]] * 5
     assert len(_of_steps("accel", moving, 2.0)) == 1
     assert _of_steps("gyro", moving, 0.0) == ()
