@@ -25,7 +25,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import own_effects
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import highest
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.screen import screened
 from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_residuals
@@ -93,7 +93,7 @@ def with_effect(residuals: SensorResiduals, true: Hypothesis, value: Array) -> S
 
 def fitted(residuals: SensorResiduals, effect: Effect) -> Estimate:
     """Return an effect's estimate, about its likeliest grid point."""
-    empty = reduce_residuals(residuals, [nothing(residuals)])
+    empty = reduce_residuals(residuals)
     tried = [*proposals(residuals, [effect]), *screened(residuals, [effect], empty, [])]
     reduced = reduce_residuals(residuals, tried)
     best = tried[int(np.argmax([highest(reduced, i) for i in range(len(tried))]))]

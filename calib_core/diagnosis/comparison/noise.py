@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import AXES, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
@@ -325,7 +325,7 @@ def _found(exam: Examination, residuals: SensorResiduals) -> list[Hypothesis]:
 
 def _deviations(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> list[tuple[float, float]]:
     """Return mean and standard deviation of the log of the Allan deviation of each view that shows it."""
-    reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
+    reduced = reduce_residuals(residuals, found=explained)
     _, weights = joint(reduced, [log_terms(v, v.left) for v in reduced])
     every = zip(residuals.views, reduced, weights, strict=True)
     shown = (_deviation(v, sums, weight) for v, sums, weight in every if v.name != "tangent")

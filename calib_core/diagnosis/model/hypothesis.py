@@ -169,12 +169,6 @@ class Parameters(Effect):
         self.name, self.sensor, self.parameters = name, sensor, parameters
 
 
-def nothing(residuals: SensorResiduals) -> Hypothesis:
-    """Return a hypothesis with one column of nothing: the baseline phone itself."""
-    none = Parameters("nothing", residuals.sensor, (Linear("none", "1", 1, 1.0),))
-    return Hypothesis(none, {}, tuple(np.zeros((*v.y.shape, 1)) for v in residuals.views))
-
-
 def together(residuals: SensorResiduals, hypotheses: Sequence[Hypothesis]) -> Hypothesis:
     """Return several hypotheses as one, their parameters one after another."""
     parameters = tuple(p for h in hypotheses for p in h.effect.parameters)

@@ -10,7 +10,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
 from stillcal.calib_core.diagnosis.slow.search import (
@@ -58,9 +58,7 @@ def slow_statements(
         beside = [jumps.finding(residuals, found)]
     else:
         withdrawn = steps and not stated
-        wandering = wander(
-            residuals, reduce_residuals(residuals, [nothing(residuals)]) if withdrawn else left
-        )
+        wandering = wander(residuals, reduce_residuals(residuals) if withdrawn else left)
         beside = not_unknown_twice(stated, wandering)
     return [
         *stated,
@@ -98,7 +96,7 @@ def not_unknown_twice(stated: Sequence[Stated], wandering: Sequence[Finding]) ->
 def _jumps(residuals: SensorResiduals, steps: Sequence[Step]) -> tuple[jumps.Jumps | None, list[Reduced]]:
     """Return a bias' jumps beside the steps, and the residuals with these taken out."""
     explained = _explained(steps)
-    left = reduce_residuals(residuals, [nothing(residuals)], explained)
+    left = reduce_residuals(residuals, found=explained)
     return jumps.jumps(residuals, explained, left), left
 
 

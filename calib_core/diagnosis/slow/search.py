@@ -30,7 +30,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
 )
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, difference, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, difference
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 LN10 = float(np.log(10.0))
@@ -172,18 +172,19 @@ def degrees(reduced: Sequence[Reduced], h: int) -> float:
 
 def reduce_residuals(
     residuals: SensorResiduals,
-    hypotheses: Sequence[Hypothesis],
+    hypotheses: Sequence[Hypothesis] = (),
     found: Sequence[Hypothesis] = (),
     *,
     parts: bool = False,
 ) -> list[Reduced]:
-    """Reduce every view for a list of hypotheses; with `parts`, each is followed by its three axes."""
+    """Reduce every view for hypotheses, and for none of them; with `parts`, each is followed by its axes."""
     widths = [h.columns[0].shape[2] for h in hypotheses]
     ends = np.cumsum([0, *widths])
     index = [np.arange(a, b) for a, b in pairwise(ends)]
     reduced = []
     for i, view in enumerate(residuals.views):
-        design = np.concatenate([h.columns[i] * h.sizes for h in hypotheses], axis=2)
+        none = np.zeros((*view.y.shape, 0))
+        design = np.concatenate([none, *(h.columns[i] * h.sizes for h in hypotheses)], axis=2)
         extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
         always = None if residuals.shared is None else residuals.shared.columns[i] * residuals.shared.sizes
         reduced.append(reduce_view(view, design, index, _nonzero(extra), always))
@@ -310,7 +311,7 @@ def ranking(
     residuals: SensorResiduals, effects: Sequence[Effect], found: Sequence[Hypothesis] = ()
 ) -> list[Scored]:
     """Return the best hypothesis of every effect with `found` projected out, best first."""
-    empty = reduce_residuals(residuals, [nothing(residuals)], found)
+    empty = reduce_residuals(residuals, found=found)
     hypotheses = [*proposals(residuals, effects), *screened(residuals, effects, empty, found)]
     return compete(residuals, hypotheses, found)
 

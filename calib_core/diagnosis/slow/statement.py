@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.effects.covariate import copies
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, squares_left
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, evidence_of, parameters, tried
 from stillcal.calib_core.diagnosis.slow.search import (
@@ -122,7 +122,7 @@ def _predicted(
     """Return held-out scores with `others` and, if given, one more effect, the noise refitted for it."""
     effects = [*([] if hypothesis is None else [hypothesis]), *others]
     if not effects:
-        reduced = reduce_residuals(residuals, [nothing(residuals)])
+        reduced = reduce_residuals(residuals)
         shapes = [likely_shapes(v, r, r.left) for v, r in zip(residuals.views, reduced, strict=True)]
         return held_out(residuals, shapes, [[]])
     reduced = reduce_residuals(residuals, effects[:1], effects[1:])

@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import LEAST_PROBABILITY
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import (
     AXES,
@@ -131,7 +131,7 @@ def sizes_along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothes
     The first is what moves slowly, the second what is another in every rest: each one standard deviation
     about the mean, as the norm of gravity shows it, rms over the shapes.
     """
-    reduced = reduce_residuals(residuals, [nothing(residuals)], explained)
+    reduced = reduce_residuals(residuals, found=explained)
     pairs = zip(residuals.views, wanders_of(reduced), strict=True)
     seen = next((w for v, w in pairs if v.name == "norm"), None)
     if seen is None:
@@ -162,7 +162,7 @@ def probability_beyond(residuals: SensorResiduals, explained: Sequence[Hypothesi
 
     It is that of the axis which shows it best.
     """
-    reduced, limit = reduce_residuals(residuals, [nothing(residuals)], explained), thresholds.RANDOM_WALK
+    reduced, limit = reduce_residuals(residuals, found=explained), thresholds.RANDOM_WALK
     return max(w.beyond(limit[residuals.sensor]) for w in _of_views(residuals, reduced))
 
 

@@ -15,7 +15,6 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference.noise_models import families
-from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.screen import screened
@@ -87,7 +86,7 @@ def test_rates_of_few_digits_that_go_from_one_code_to_the_next_are_rounding() ->
 def test_axes_that_keep_to_one_code_do_not_hide_a_step_of_the_other() -> None:
     """Curves were scaled by what is left of such an axis, 1e-34 of its noise; others were lost beside it."""
     made = by_sensor(rest_bins(few_digits(0.01)), 9.80665)[1]
-    empty = reduce_residuals(made, [nothing(made)])
+    empty = reduce_residuals(made)
     tried = [h.grid["t_start"] for h in screened(made, [Step("gyro")], empty, [])]
     assert np.abs(np.array(tried) - 683.0).min() < 15.0
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import ALL_AXES
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log_likelihood
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
@@ -144,6 +144,4 @@ def _coarse(residuals: SensorResiduals, unit: Array, found: Sequence[Hypothesis]
 def _log_likelihood(residuals: SensorResiduals, variance: Array, found: Sequence[Hypothesis]) -> Array:
     """Return the log likelihood (3,) of each axis with an excess variance (3,) of the bins that move."""
     trial = with_excess(residuals, variance)
-    return np.array(
-        [null_log_likelihood([view]) for view in reduce_residuals(trial, [nothing(trial)], found)]
-    )
+    return np.array([null_log_likelihood([view]) for view in reduce_residuals(trial, found=found)])

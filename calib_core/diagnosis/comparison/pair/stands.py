@@ -30,7 +30,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
@@ -103,7 +103,7 @@ def _shown_at_rest(said: Stated, beside: Sequence[Stated], alone: Examination) -
     if residuals is None or len(residuals.bins) < thresholds.LEAST_BINS:
         return 0.0
     if said.finding.effect.endswith(WALK) or said.finding.where.driver == NO_DRIVER:
-        return max(log_evidence(residuals, reduce_residuals(residuals, [nothing(residuals)])), 0.0)
+        return max(log_evidence(residuals, reduce_residuals(residuals)), 0.0)
     if said.hypothesis is None or said.residuals is None:
         return 0.0
     own = _read_at(residuals, said.hypothesis, said.residuals)

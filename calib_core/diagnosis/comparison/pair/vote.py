@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.statement import Stated
@@ -66,7 +66,7 @@ def _speaks_for(stated: Stated, residuals: SensorResiduals, others: Sequence[Hyp
     """Return the log Bayes factor, nats, of the same effect in another sensor's difference."""
     if stated.hypothesis is not None:
         return log_bayes_factor(reduce_residuals(residuals, [stated.hypothesis], others, parts=True), 1, 1.0)
-    left = reduce_residuals(residuals, [nothing(residuals)], others)
+    left = reduce_residuals(residuals, found=others)
     return max((f.evidence.log_bayes_factor for f in wander(residuals, left)), default=0.0)
 
 

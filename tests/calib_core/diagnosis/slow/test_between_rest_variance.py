@@ -7,7 +7,6 @@ import pytest
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import nothing
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER, jumps
@@ -71,7 +70,7 @@ def test_the_earth_and_all_wander_are_no_jumps() -> None:
         for seed in range(3):
             rng, day = short_rests(10 + seed)
             for residuals in by_sensor(nulls.bins_of(rng, day, family), nulls.G):
-                assert jumps(residuals, [], reduce_residuals(residuals, [nothing(residuals)])) is None, (
+                assert jumps(residuals, [], reduce_residuals(residuals)) is None, (
                     family,
                     seed,
                 )

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat
 from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, log_terms, null_log_likelihood
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
@@ -161,7 +161,7 @@ def test_shapes_find_the_wander_that_was_put_in() -> None:
     def walking(family: str) -> float:
         """Return the gyroscope's walk, a variance rate, as a part of what `walk_strong` has."""
         residuals = by_sensor(nulls.bins_of(rng, day, family), nulls.G)[1]
-        reduced = reduce_residuals(residuals, [nothing(residuals)])
+        reduced = reduce_residuals(residuals)
         assert np.isfinite(null_log_likelihood(reduced))
         terms = log_terms(reduced[0], reduced[0].left)
         return float(np.exp(terms - log_sum(terms)) @ reduced[0].walk) / (0.05 * nulls.WHITE["gyro"]) ** 2

@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, n
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Dictionary
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import statement
@@ -201,7 +201,7 @@ def test_screening_keeps_the_curve_that_was_put_in() -> None:
     day = short_day(6)
     residuals, _ = gyro_of(6, np.outer((day.t > 900) & (day.t < 1500), [4e-4, 0.0, 0.0]))
     effect = next(e for e in effects_of("gyro") if getattr(e, "many", None) is curves.pulses)
-    empty = reduce_residuals(residuals, [nothing(residuals)])
+    empty = reduce_residuals(residuals)
     kept = screened(residuals, [effect], empty, [])
     reduced = reduce_residuals(residuals, kept)
     gains = [

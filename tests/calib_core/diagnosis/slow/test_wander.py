@@ -8,7 +8,7 @@ import pytest
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals, nothing
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.wander import Wander, sizes_along_gravity, wander, wanders_of
@@ -31,7 +31,7 @@ def with_error(
     """Return a gyroscope's residuals with this error (n, 3) of its bias, rad/s, with its sums."""
     bins = nulls.bins_of(rng, day, family, gyro_error=error)
     residuals = next(s for s in by_sensor(bins, nulls.G) if s.sensor == "gyro")
-    return residuals, reduce_residuals(residuals, [nothing(residuals)])
+    return residuals, reduce_residuals(residuals)
 
 
 def test_a_walk_of_ten_times_what_is_allowed_is_sure_and_its_density_is_right() -> None:
