@@ -11,35 +11,50 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
+TWICE = float(np.sqrt(2.0))
+"""Of two errors that are alike and independent: gravity's at both ends of a turn; of what has no name the one
+that the rests show, along gravity for the most part, and the one that they do not."""
+
 
 def unsure_tilt(stated: Sequence[Stated], gravity: float) -> float:
-    """Return by how much slow errors of the accelerometer may still turn gravity's direction, rad."""
+    """Return by how much slow errors of the accelerometer may make turns miss gravity, rad."""
     lengths = [
-        _length(s) if s.finding.effect == "unknown" else _unsure(s)
+        TWICE * _length(s) if s.finding.effect == "unknown" else _unsure(s)
         for s in stated
         if s.finding.sensor == "accel" and s.finding.where.band_hz == SLOW_BAND
     ]
-    return float(np.linalg.norm(lengths)) / gravity if lengths else 0.0
+    return TWICE * float(np.linalg.norm(lengths)) / gravity if lengths else 0.0
 
 
 def _length(stated: Stated) -> float:
-    """Return the size of a nameless error, m/s^2; 0 where it has none."""
+    """Return the size of a nameless error, m/s^2; of a gain it is rms over the bins. 0 where it has none."""
     amplitude = stated.finding.parameters.get("amplitude")
-    return 0.0 if amplitude is None else float(np.linalg.norm(np.ravel(amplitude.value)))
+    if amplitude is not None:
+        return float(np.linalg.norm(np.ravel(amplitude.value)))
+    return _rms(stated, stated.sizes) if stated.hypothesis is not None else 0.0
 
 
 def _unsure(stated: Stated) -> float:
     """Return how unsure a named error is, m/s^2, rms over the bins at rest; 0 where no rests tell it."""
+    if stated.hypothesis is None:
+        return 0.0
+    names = [p.name for p in stated.hypothesis.effect.parameters]
+    intervals = [stated.finding.parameters[name].ci95 for name in names]
+    widths = np.concatenate([np.ptp(np.asarray(ci), axis=-1).ravel() for ci in intervals])
+    return _rms(stated, widths / (2.0 * NORMAL_95))
+
+
+def _rms(stated: Stated, sizes: Array) -> float:
+    """Return what an effect of independent sizes (k,) adds to the force, m/s^2; 0 where no rests tell it."""
     own, residuals = stated.hypothesis, stated.residuals
     if own is None or residuals is None:
         return 0.0
-    intervals = [stated.finding.parameters[p.name].ci95 for p in own.effect.parameters]
-    widths = np.concatenate([np.ptp(np.asarray(ci), axis=-1).ravel() for ci in intervals])
-    response = own.effect.response(residuals.moments, own.grid) * (widths / (2.0 * NORMAL_95))
+    response = own.effect.response(residuals.moments, own.grid) * sizes
     return float(np.sqrt((response**2).sum(axis=(1, 2)).mean()))
 
 

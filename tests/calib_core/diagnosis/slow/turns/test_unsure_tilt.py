@@ -10,6 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis import diagnose
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.effects.unknown import CrossedForce
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.statement import Stated
@@ -37,10 +38,10 @@ def nameless(sensor: str, size: float, band: tuple[float, float] = SLOW_BAND) ->
     return Stated(finding("unknown", sensor, {"amplitude": Parameter([0.0, size, 0.0], None, "m/s^2")}, band))
 
 
-@pytest.mark.parametrize("moved, kept", [(4e-3, False), (7e-3, True)])
+@pytest.mark.parametrize("moved, kept", [(9e-3, False), (11e-3, True)])
 def test_what_turns_show_is_kept_where_it_is_larger_than_the_tilt(moved: float, kept: bool) -> None:
     tilt = unsure_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD)
-    assert tilt == pytest.approx(5e-3)
+    assert tilt == pytest.approx(2.0 * 5e-3)
     assert bool(beyond(tilt, [of_turns(moved)])) is kept
 
 
@@ -64,8 +65,22 @@ def test_what_is_unsure_of_a_named_error_tilts_and_its_size_does_not() -> None:
     own = residuals.hypothesis(square, {})
     told = Stated(finding(square.name, "accel", sizes, SLOW_BAND), own, residuals)
     z = residuals.moments.force[:, 2]
-    expected = 0.2e-3 / 1.96 * np.sqrt((z**4).mean()) / STANDARD
+    expected = np.sqrt(2.0) * 0.2e-3 / 1.96 * np.sqrt((z**4).mean()) / STANDARD
     assert unsure_tilt([told], STANDARD) == pytest.approx(expected, rel=0.05)
+
+
+def test_a_nameless_gain_tilts_by_what_it_adds_at_rest() -> None:
+    """1000 ppm/K of the next axis' force, in a day that warms: a gyroscope's scale seemed to follow it."""
+    exam = examined(recorded(phone_with(), 3), sought=())
+    residuals = next(s for s in exam.sensors if s.sensor == "accel")
+    crossed = CrossedForce()
+    slope = Parameter([0.0, 0.0, 1e-3], [[0.0, 0.0]] * 3, "1/K")
+    own = residuals.hypothesis(crossed, {})
+    told = Stated(finding("unknown", "accel", {"slope": slope}, SLOW_BAND), own, residuals)
+    moments = residuals.moments
+    added = 0.5e-3 * moments.temperature[:, None] * moments.force[:, [0, 2]]
+    expected = 2.0 * np.sqrt((added**2).sum(axis=1).mean()) / STANDARD
+    assert expected > 1e-4 and unsure_tilt([told], STANDARD) == pytest.approx(expected)
 
 
 @pytest.mark.slow
