@@ -181,6 +181,38 @@ def test_what_a_rest_has_anew_is_in_the_turns_before_and_after_it() -> None:
         np.testing.assert_allclose(own @ [1.0, -2.0, 0.0], -more, atol=0.03 * np.abs(more).max())
 
 
+def test_what_is_known_of_the_noise_of_a_turn() -> None:
+    """Noise of 1e-3 rad/s and 0.01 m/s^2 at 50 Hz; then a bias that changes by 2e-3 rad/s; then a tilt."""
+    force, spin = walking(0.0)
+    bins = cut(force, spin)
+    made = aligned(spin, bins, G)
+    steady = replace(bins, force=rest_courses(bins.force, bins.rest), rate=np.zeros_like(bins.force))
+    lasts = np.array([t.duration for t in made.turns])
+    assert np.mean(known_variances(made, steady) / (1e-6 / RATE * lasts)) == pytest.approx(1.0, abs=0.1)
+    changing = replace(steady, rate=np.where(bins.rest[:, None] % 2 == 1, 2e-3, 0.0) * np.ones(3))
+    apart = np.array([np.ptp(changing.rate[t.first : t.first + 2]) > 0.0 for t in made.turns])
+    more = known_variances(made, changing) - known_variances(made, steady)
+    np.testing.assert_allclose(more, np.where(apart, (1e-3 * lasts) ** 2, 0.0), atol=1e-12)
+    last = made.turns[5].first
+    across = np.cross(made.baseline.up[last], [0.3, 0.5, 0.8])
+    tilted = steady.force.copy()
+    tilted[last] += 0.05 * across / np.linalg.norm(across)
+    crept = known_variances(made, replace(steady, force=tilted)) - known_variances(made, steady)
+    assert crept[5] == pytest.approx((0.05 / G) ** 2, rel=0.1)
+    assert (crept > 1e-9).sum() == 1
+
+
+def test_a_rest_has_the_noise_of_its_samples() -> None:
+    force, spin = walking(0.0)
+    bins = cut(force, spin)
+    made = aligned(spin, bins, G)
+    (rests,) = turn_view(made, bins).shared
+    samples = RATE * float(bins.duration[bins.rest == 7].sum())
+    course = np.where(bins.rest[:, None] == 7, [0.01 / np.sqrt(samples), 0.0, 0.0], 0.0)
+    more = missed_by_course(spin, bins, made, course)
+    np.testing.assert_allclose(rests[:, 21], -more, atol=0.2 * np.abs(more).max())
+
+
 def test_turns_are_judged_where_the_norm_alone_has_the_accelerometer() -> None:
     """The fit of both goes through few turns, and what it leaves of them says nothing of their noise."""
     force, spin, _ = day(3, 14)
