@@ -16,19 +16,19 @@ from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
-TWICE = float(np.sqrt(2.0))
-"""Of two errors that are alike and independent: gravity's at both ends of a turn; of what has no name the one
-that the rests show, along gravity for the most part, and the one that they do not."""
+OF_TWO = float(np.sqrt(2.0))
+"""What two errors that are alike and independent are together: gravity's at both ends of a turn; of what has
+no name the one that the rests show, along gravity for the most part, and the one that they do not."""
 
 
 def unsure_tilt(stated: Sequence[Stated], gravity: float) -> float:
     """Return by how much slow errors of the accelerometer may make turns miss gravity, rad."""
     lengths = [
-        TWICE * _length(s) if s.finding.effect == "unknown" else _unsure(s)
+        OF_TWO * _length(s) if s.finding.effect == "unknown" else _unsure(s)
         for s in stated
         if s.finding.sensor == "accel" and s.finding.where.band_hz == SLOW_BAND
     ]
-    return TWICE * float(np.linalg.norm(lengths)) / gravity if lengths else 0.0
+    return OF_TWO * float(np.linalg.norm(lengths)) / gravity if lengths else 0.0
 
 
 def _length(stated: Stated) -> float:
