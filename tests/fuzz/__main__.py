@@ -94,6 +94,14 @@ def peak_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
+def feed_within(target: Target, data: bytes, room: int) -> None:
+    """Give a target an input; raise TooMuchError beyond SLOWEST_S, or beyond a peak of `room` bytes."""
+    with _limited():
+        target.feed(data)
+    if peak_bytes() > room:
+        raise TooMuchError(f"more than {MOST_MEMORY} bytes of memory")
+
+
 def fuzzed(
     target: Target, seconds: float, start: int, examples: int = EXAMPLES, trying: Path | None = None
 ) -> tuple[int, bytes | None]:
@@ -125,10 +133,7 @@ def fuzzed(
             tried, failed[0] = tried + 1, data
             if trying is not None:
                 trying.write_bytes(data)
-            with _limited():
-                target.feed(data)
-            if peak_bytes() > room:
-                raise TooMuchError(f"more than {MOST_MEMORY} bytes of memory")
+            feed_within(target, data, room)
 
         try:
             round_()
