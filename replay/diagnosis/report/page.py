@@ -30,7 +30,7 @@ from stillcal.replay.diagnosis.words.names import (
     simulation_text,
 )
 from stillcal.replay.diagnosis.words.next_recording import to_record
-from stillcal.replay.diagnosis.words.relation_text import AXES, labels_of, side_of, with_interval
+from stillcal.replay.diagnosis.words.relation_text import AXES, interval_of, labels_of, side_of, with_interval
 from stillcal.replay.diagnosis.words.summary import headline, outcome, reasons
 from stillcal.replay.diagnosis.words.units import plain, pretty, shown_in, within
 from stillcal.replay.palette import BLUE, GREEN, RED
@@ -256,8 +256,7 @@ def _number(parameter: Mapping[str, Any], i: int, scale: tuple[float, str]) -> s
     """Return one number of a parameter with its interval, in a given unit."""
     factor, unit = scale
     value = float(np.ravel(parameter["value"])[i])
-    low, high = np.reshape(parameter["ci95"], (-1, 2))[i].tolist() if "ci95" in parameter else (value, value)
-    return f"{within(value * factor, low * factor, high * factor)} {unit}".strip()
+    return f"{within(value * factor, *(interval_of(parameter)[i] * factor))} {unit}".strip()
 
 
 def _cell(finding: Mapping[str, Any], side: str, name: str, shown: Sequence[int]) -> str:

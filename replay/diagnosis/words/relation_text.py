@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
@@ -48,6 +49,13 @@ def labels_of(name: str, count: int) -> list[str]:
     return [""] if count == 1 else [str(i + 1) for i in range(count)]
 
 
+def interval_of(parameter: Mapping[str, Any]) -> Array:
+    """Return the ends (k, 2) of each number's 95 % interval; twice the number where it has none."""
+    values = np.asarray(parameter["value"], dtype=np.float64).ravel()
+    ends = parameter.get("ci95", np.column_stack([values, values]))
+    return np.asarray(ends, dtype=np.float64).reshape(values.size, 2)
+
+
 def with_interval(
     name: str, parameter: Mapping[str, Any], shown: Sequence[int], beside: Sequence[Mapping[str, Any]] = ()
 ) -> str:
@@ -59,10 +67,8 @@ def with_interval(
     labels = labels_of(name, values.size)
     sides = [values, *(np.asarray(p["value"], dtype=np.float64).ravel() for p in beside)]
     factor, unit = shown_in([side[list(shown)] for side in sides], parameter["unit"], name)
-    bounds = np.repeat(values[:, None], 2, axis=1)
-    if "ci95" in parameter:
-        bounds = np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2)
-    numbers = [f"{within(values[i] * factor, *(bounds[i] * factor))} {unit}".strip() for i in shown]
+    ends = interval_of(parameter) * factor
+    numbers = [f"{within(values[i] * factor, *ends[i])} {unit}".strip() for i in shown]
     if labels == list(AXES) and len(numbers) == len(AXES) and len(set(numbers)) == 1:
         return f"{numbers[0]} on each axis"
     return ", ".join(f"{labels[i]} {number}".strip() for i, number in zip(shown, numbers, strict=True))
@@ -88,9 +94,7 @@ def shown_of(finding: Mapping[str, Any], name: str, axes: Sequence[str]) -> list
 def _clear(parameter: Mapping[str, Any]) -> list[int]:
     """Return which numbers of a parameter are beyond their errors."""
     values = np.abs(np.asarray(parameter["value"], dtype=np.float64).ravel())
-    if "ci95" not in parameter:
-        return np.flatnonzero(values > 0.0).tolist()
-    half = np.ptp(np.asarray(parameter["ci95"], dtype=np.float64).reshape(values.size, 2), axis=1) / 2.0
+    half = np.ptp(interval_of(parameter), axis=1) / 2.0
     return np.flatnonzero(values > AXIS_SIGMA / NORMAL_95 * half).tolist()
 
 
