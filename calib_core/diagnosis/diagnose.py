@@ -231,7 +231,7 @@ def _with_motion(
     gravity = exam.claims.gravity
     most = min(limits_of("gyro_saturation", direct), default=np.inf)
     rates = OffRates.of(known, exam.accelerometer, bare, gravity)
-    turned = partial(_turned, exam.gyroscope, bare, gravity, most, unsteady=_unsteady(exam))
+    turned = partial(_turned, exam.gyroscope, bare, gravity, most, unsteady=_unsteady(exam, exam.gyroscope))
     turns = None
     if len(exam.bins):
         affine, turns = turned(rates)
@@ -312,7 +312,7 @@ def _turned(
     return affine, turn_residuals(affine, bins, gravity)
 
 
-def _unsteady(exam: Examination) -> Unsteady:
+def _unsteady(exam: Examination, gyroscope: Samples) -> Unsteady:
     """Return how the accelerometer's bias moves beside what was found of it, and the stamps' jitter."""
     sizes = [
         sizes_along_gravity(
@@ -321,7 +321,7 @@ def _unsteady(exam: Examination) -> Unsteady:
         for residuals in exam.sensors
         if residuals.sensor == "accel"
     ]
-    grid = None if exam.gyroscope is None else grid_of(exam.gyroscope)
+    grid = grid_of(gyroscope)
     jitter = None if grid is None else grid.jitter()
     return Unsteady(*(sizes[0] if sizes else (0.0, 0.0)), 0.0 if jitter is None else jitter.value)
 

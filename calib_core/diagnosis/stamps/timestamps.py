@@ -106,8 +106,10 @@ class Grid:
         factor = _factor(steps, near if multiples is None else near & (multiples == 1.0))
         if multiples is None and factor == ACCUMULATING:
             multiples = _peaked(steps / period)
-        even = _as_many_in_any_time(steps[steps <= LONGEST_GAP * period])
-        told = multiples is not None or (even and not (rounded and rounded_or_lost(t)))
+        told = multiples is not None or (
+            not (rounded and rounded_or_lost(t))
+            and _as_many_in_any_time(steps[steps <= LONGEST_GAP * period])
+        )
         if multiples is None:
             multiples = np.ones(steps.size)
         single = (multiples == 1.0) & (steps < 2.0 * period)

@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.model.rotation_alignment import (
 )
 from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import known_variances, turn_view
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_view
 
 DRIVER = "turns from rest to rest"
 
@@ -97,7 +97,7 @@ def missed_turns(made: Aligned, bins: Bins, gravity: float, found: Sequence[Hypo
     k = len(made.turns)
     return Missed(
         view.y[0].reshape(k, 2),
-        known_variances(made, bins),
+        view.variance[::2],
         np.hstack(free).reshape(k, 2, -1),
         np.array([t.angle for t in made.turns]),
     )

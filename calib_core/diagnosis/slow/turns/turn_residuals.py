@@ -9,7 +9,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.noise_models import covariance_of
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
-from stillcal.calib_core.diagnosis.model.residuals import View
+from stillcal.calib_core.diagnosis.model.residuals import View, rest_means
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
@@ -26,15 +26,15 @@ WAVES = 8
 
 def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals | None:
     """Return the turns' residuals, one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
-    for _ in range(2):
+    for last in (False, False, True):
         if len(made.turns) < LEAST_TURNS:
             return None
-        size = np.abs(_unforeseen(turn_view(made, bins))).reshape(-1, 2).max(axis=1)
+        view = turn_view(made, bins)
+        size = np.abs(_unforeseen(view)).reshape(-1, 2).max(axis=1)
         kept = [t for t, s in zip(made.turns, size, strict=True) if s < OUTLIER * np.median(size)]
+        if last or len(kept) == len(made.turns):
+            break
         made = replace(made, turns=kept)
-    if len(made.turns) < LEAST_TURNS:
-        return None
-    view = turn_view(made, bins)
     return SensorResiduals("gyro", bins, (view,), gravity, None, tuple(made.turns))
 
 
@@ -94,12 +94,11 @@ def _at_rests(made: Aligned, bins: Bins) -> tuple[Array, Array]:
     waves = made.unsteady.wander * _waves(bins.t[at])
     of_waves = np.einsum("keij,kew->kijw", ends, waves).reshape(len(at), 3, -1)
     rest, own = np.unique(bins.rest[at], return_inverse=True)
-    count = np.bincount(bins.rest)
-    noise = np.stack([np.bincount(bins.rest, v) / count**2 for v in bins.force_variance.T], axis=1)
-    sizes = np.sqrt(noise[rest] + made.unsteady.scatter**2)
+    noise = rest_means(bins.force_variance, bins.rest) / np.bincount(bins.rest)[bins.rest, None]
+    sizes = np.sqrt(noise + made.unsteady.scatter**2)
     of_rests = np.zeros((len(at), 3, rest.size, 3))
     for e, which in enumerate(own.reshape(at.shape).T):
-        of_rests[np.arange(len(at)), :, which] += ends[:, e] * sizes[which][:, None, :]
+        of_rests[np.arange(len(at)), :, which] += ends[:, e] * sizes[at[:, e], None, :]
     return of_waves, of_rests.reshape(len(at), 3, -1)
 
 

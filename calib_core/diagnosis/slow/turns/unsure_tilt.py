@@ -12,8 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
-from stillcal.calib_core.diagnosis.model.records import SLOW_BAND
+from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 OF_TWO = float(np.sqrt(2.0))
@@ -24,38 +25,32 @@ no name the one that the rests show, along gravity for the most part, and the on
 def unsure_tilt(stated: Sequence[Stated], gravity: float) -> float:
     """Return by how much slow errors of the accelerometer may make turns miss gravity, rad."""
     lengths = [
-        OF_TWO * _length(s) if s.finding.effect == "unknown" else _unsure(s)
-        for s in stated
-        if s.finding.sensor == "accel" and s.finding.where.band_hz == SLOW_BAND
+        _length(s) for s in stated if s.finding.sensor == "accel" and s.finding.where.band_hz == SLOW_BAND
     ]
     return OF_TWO * float(np.linalg.norm(lengths)) / gravity if lengths else 0.0
 
 
 def _length(stated: Stated) -> float:
-    """Return the size of a nameless error, m/s^2; of a gain it is rms over the bins. 0 where it has none."""
-    amplitude = stated.finding.parameters.get("amplitude")
-    if amplitude is not None:
-        return float(np.linalg.norm(np.ravel(amplitude.value)))
-    return _rms(stated, stated.sizes) if stated.hypothesis is not None else 0.0
+    """Return how large an error is that is not taken off, m/s^2: a nameless one, or what is unsure of one.
 
-
-def _unsure(stated: Stated) -> float:
-    """Return how unsure a named error is, m/s^2, rms over the bins at rest; 0 where no rests tell it."""
-    if stated.hypothesis is None:
-        return 0.0
-    names = [p.name for p in stated.hypothesis.effect.parameters]
-    intervals = [stated.finding.parameters[name].ci95 for name in names]
-    widths = np.concatenate([np.ptp(np.asarray(ci), axis=-1).ravel() for ci in intervals])
-    return _rms(stated, widths / (2.0 * NORMAL_95))
-
-
-def _rms(stated: Stated, sizes: Array) -> float:
-    """Return what an effect of independent sizes (k,) adds to the force, m/s^2; 0 where no rests tell it."""
+    It is rms over the bins where it has no amplitude, and 0 where no rests tell it.
+    """
+    nameless, amplitude = stated.finding.effect == "unknown", stated.finding.parameters.get("amplitude")
+    if nameless and amplitude is not None:
+        return OF_TWO * float(np.linalg.norm(np.ravel(amplitude.value)))
     own, residuals = stated.hypothesis, stated.residuals
     if own is None or residuals is None:
         return 0.0
+    sizes = OF_TWO * stated.sizes if nameless else _errors(stated.finding, own)
     response = own.effect.response(residuals.moments, own.grid) * sizes
     return float(np.sqrt((response**2).sum(axis=(1, 2)).mean()))
+
+
+def _errors(finding: Finding, own: Hypothesis) -> Array:
+    """Return the standard errors (k,) that a finding states of an effect's sizes."""
+    intervals = [finding.parameters[p.name].ci95 for p in own.effect.parameters]
+    widths = np.concatenate([np.ptp(np.asarray(ci), axis=-1).ravel() for ci in intervals])
+    return np.asarray(widths / (2.0 * NORMAL_95))
 
 
 def beyond(tilt: float, stated: Sequence[Stated]) -> list[Stated]:
