@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from stillcal.calib_core.diagnosis.clear_bins import (
-    CLEAR,
     limits_of,
     outside_of,
     roughened,
@@ -21,15 +19,15 @@ from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
-from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, Unsteady, aligned
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
-from stillcal.calib_core.diagnosis.motion.turning_windows import Span, on_limits
+from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
@@ -59,71 +57,6 @@ recordings of five minutes to two hours these took 5 to 17 % and 90 to 97 % of t
 
 OTHER_AXES = "the axes of one of its sensors are exchanged"
 """Why no delay and no lever arm are looked for: what the gyroscope turns gravity by is wrong then."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Examination:
-    """A recording with all that its diagnosis was read from.
-
-    bins: the static bins that slow effects are judged on; streams: each sensor's noise, steps and spectra;
-    sensors: each sensor's slow residuals; turns: the rotation between rests (None where there is too little);
-    aligned: both sensors' affine parameters (None without a gyroscope or rests); statements: the findings
-    with the hypotheses they state. timed: whether it is known when what was recorded.
-    exchanged: the sensor whose axes were exchanged; if for a while, nothing slow of it is searched for.
-    other_axes: the finding where they are exchanged throughout.
-    delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
-    why_no_delay: the reason then, "" where motion is too little to look for it.
-    memo: what was worked out of it once, by name.
-    """
-
-    accelerometer: Samples
-    gyroscope: Samples | None
-    claims: Claims
-    bins: Bins
-    streams: list[Stream]
-    sensors: list[SensorResiduals]
-    aligned: Aligned | None
-    turns: SensorResiduals | None
-    statements: list[Stated]
-    timed: bool = True
-    exchanged: str = ""
-    other_axes: Finding | None = None
-    delay: Measured | None = None
-    why_no_delay: str = ""
-    memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
-
-    def diagnosis(self, recording: str) -> Diagnosis:
-        """Return the findings. recording: the name it is known by."""
-        return Diagnosis(recording, [s.finding for s in self.statements])
-
-    @property
-    def with_turns(self) -> list[SensorResiduals]:
-        """The residuals of both sensors, and those of the turns where there are any."""
-        return [*self.sensors, *([self.turns] if self.turns else [])]
-
-    @property
-    def on_limits(self) -> list[Span]:
-        """When one of the sensors is on a limit, found or claimed, or as near to it as noise reaches."""
-        if self.gyroscope is None:
-            return []
-        found = [s.finding for s in self.statements]
-        claimed = {"accel": self.claims.accel_range, "gyro": self.claims.gyro_range}
-        limits = {}
-        for stream in self.streams:
-            stated = [*limits_of(f"{stream.sensor}_saturation", found), claimed[stream.sensor]]
-            least = min((limit for limit in stated if limit), default=np.inf)
-            limits[stream.sensor] = least - CLEAR * float(stream.steps.sd.max())
-        return on_limits(self.accelerometer, self.gyroscope, limits)
-
-    @property
-    def column_means(self) -> dict[str, float]:
-        """The means at rest of further logged columns."""
-        return self.sensors[0].column_means if self.sensors else {}
-
-    @property
-    def is_table(self) -> bool:
-        """Whether it is a table of rests, which has no samples."""
-        return len(self.accelerometer) == 0
 
 
 def diagnose(
@@ -174,54 +107,92 @@ def examine(
     claims, sound = claims or Claims(), sound or sound_phones()
     accelerometer, twice = repeats.without_doubles(accelerometer)
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
+    doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     seconds = overview or overview_of(accelerometer, gyroscope)
     bins = still_bins(accelerometer, gyroscope, events, seconds)
-    sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
-    lost = [f for s, x in sensors if (f := stuck(x, s))]
-    clear = outside_of(bins, lost)
-    between = turns_between(gyroscope, clear, claims.gravity)
-    turned = other_axes(between)
-    spoiled = None if turned else garbled(between)
-    gone = [*lost, spoiled] if spoiled else lost
-    clear = outside_of(bins, gone)
-    streams = [Stream.of(s, x, clear) for s, x in sensors]
-    doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
-    nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
-    named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
-    silent = [f for s, x in sensors if (f := dead(x, s))]
-    direct = [*gone, *silent, *(f for f in (doubled, turned) if f), *beside_names(nameless, named)]
-    slow = roughened(unlimited(clear, direct, streams[0]), {s.sensor: s.steps for s in streams})
-    slow_residuals = by_sensor(slow, claims.gravity, covariates, gyroscope) if len(slow) else []
-    slow_residuals = about_nonlinearity(slow_residuals)
-    stated = [Stated(f) for f in direct]
+    made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled)
     progress(MEASURED)
-    for done, residuals in enumerate(slow_residuals):
-        if (sought is None or sought) and not _is_of(spoiled, residuals.sensor):
-            slow_residuals[done], found = searched(
-                residuals, partial(slow_statements, without=without, sought=sought)
-            )
-            stated += found
-        progress(MEASURED + (SEARCHED - MEASURED) * (done + 1) / len(slow_residuals))
-    made = Examination(accelerometer, gyroscope, claims, slow, streams, slow_residuals, None, None, stated,
-                       exchanged=next((f.sensor for f in (spoiled, turned) if f), ""),
-                       other_axes=turned)  # fmt: skip
-    spoilt = [(f.where.t_start, f.where.t_end) for f in gone]
-    made = _with_motion(made, spoilt, without, sound, in_turns=sought is None)
-    made = _with_tilts(made, seconds, spoilt) if sought is None else made
+    made = _with_slow(made, covariates, without, sought, progress)
+    made = _with_motion(made, without, sound, in_turns=sought is None)
+    made = _with_tilts(made, seconds) if sought is None else made
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
 
-def _with_motion(
-    exam: Examination,
-    spoiled: Sequence[Span],
-    without: Collection[str],
-    sound: SoundPhones,
+def _of_samples(
+    accelerometer: Samples,
+    gyroscope: Samples | None,
+    bins: Bins,
+    claims: Claims,
     *,
-    in_turns: bool,
+    sound: SoundPhones,
+    doubled: Finding | None,
+) -> Examination:
+    """Return an examination with what single samples show, and the bins that slow effects are judged on.
+
+    bins: all that are still; doubled: the finding of samples that came twice; the others are those of
+    `examine`.
+    """
+    sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
+    spoiled = [f for s, x in sensors if (f := stuck(x, s))]
+    between = turns_between(gyroscope, outside_of(bins, spoiled), claims.gravity)
+    turned = other_axes(between)
+    exchanged = None if turned else garbled(between)
+    spoiled += [exchanged] if exchanged else []
+    clear = outside_of(bins, spoiled)
+    streams = [Stream.of(s, x, clear) for s, x in sensors]
+    nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
+    named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
+    silent = [f for s, x in sensors if (f := dead(x, s))]
+    whole = [f for f in (doubled, turned) if f]
+    found = [*spoiled, *silent, *whole, *beside_names(nameless, named)]
+    return Examination(
+        accelerometer,
+        gyroscope,
+        claims,
+        roughened(unlimited(clear, found, streams[0]), {s.sensor: s.steps for s in streams}),
+        streams,
+        sensors=[],
+        aligned=None,
+        turns=None,
+        statements=[Stated(f) for f in found],
+        exchanged=next((f.sensor for f in (exchanged, turned) if f), ""),
+        other_axes=turned,
+        spoiled=[(f.where.t_start, f.where.t_end) for f in spoiled],
+    )
+
+
+def _with_slow(
+    exam: Examination,
+    covariates: Mapping[str, TimeSeries] | None,
+    without: Collection[str],
+    sought: Sequence[Hypothesis] | None,
+    progress: Callable[[float], None],
+) -> Examination:
+    """Return an examination with the slow effects that each sensor's rests show; arguments of `examine`.
+
+    Of a sensor whose axes were exchanged for a while nothing is searched for: when exactly is known too
+    roughly.
+    """
+    if not len(exam.bins):
+        return exam
+    search = partial(slow_statements, without=without, sought=sought)
+    sensors = about_nonlinearity(by_sensor(exam.bins, exam.claims.gravity, covariates, exam.gyroscope))
+    stated = list(exam.statements)
+    garbled_one = "" if exam.other_axes else exam.exchanged
+    for i, residuals in enumerate(sensors):
+        if (sought is None or sought) and residuals.sensor != garbled_one:
+            sensors[i], found = searched(residuals, search)
+            stated += found
+        progress(MEASURED + (SEARCHED - MEASURED) * (i + 1) / len(sensors))
+    return replace(exam, sensors=sensors, statements=stated)
+
+
+def _with_motion(
+    exam: Examination, without: Collection[str], sound: SoundPhones, *, in_turns: bool
 ) -> Examination:
     """Return an examination with what motion and the turns between rests show, where there is a gyroscope.
 
-    spoiled: when readings are no measurement; the others are those of `examine`.
+    in_turns: whether effects of turns are searched for; the others are those of `examine`.
     """
     if exam.gyroscope is None:
         return exam
@@ -239,7 +210,7 @@ def _with_motion(
     if exam.other_axes is None:
         motion = shown_in_motion(
             exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
-            spoiled=[*spoiled, *exam.on_limits], filters=filters,
+            spoiled=[*exam.spoiled, *exam.on_limits], filters=filters,
         )  # fmt: skip
     else:
         motion = Shown([], why_none=OTHER_AXES)
@@ -259,13 +230,12 @@ def _with_motion(
     )
 
 
-def _with_tilts(exam: Examination, seconds: Overview, spoiled: Sequence[Span]) -> Examination:
+def _with_tilts(exam: Examination, seconds: Overview) -> Examination:
     """Return an examination with what gravity's direction does that the gyroscope does not, unless explained.
 
     What a sensor is found to do without a name may be the cause, and is stated already: the accelerometer's
     bias where gravity jumps, the gyroscope too where turns are missed. A step that has a name, or a bias
-    while charging, explains the jumps at its moments, which are told to a bin. spoiled: when readings are no
-    measurement.
+    while charging, explains the jumps at its moments, which are told to a bin.
     """
     nameless = [s.finding for s in exam.statements if s.finding.effect == "unknown"]
     slow = {f.sensor for f in nameless if f.where.band_hz == SLOW_BAND}
@@ -275,7 +245,7 @@ def _with_tilts(exam: Examination, seconds: Overview, spoiled: Sequence[Span]) -
         seconds,
         (exam.bins.force_rounding, exam.bins.rate_rounding),
         exam.claims.gravity,
-        [*spoiled, *exam.on_limits, *_of_steps(exam)],
+        [*exam.spoiled, *exam.on_limits, *_of_steps(exam)],
     )
     if found is None and all(f.sensor != "gyro" for f in nameless):
         found = _turn_errors(exam)
@@ -339,11 +309,6 @@ def refuse_too_little(accelerometer: Samples) -> None:
     span = float(accelerometer.t[-1] - accelerometer.t[0])
     if span < LEAST_SECONDS:
         raise NotSupported(f"{span:.4g} s of recording", (f"at least {LEAST_SECONDS:.0f} s",))
-
-
-def _is_of(spoiled: Finding | None, sensor: str) -> bool:
-    """Whether axes of a sensor were found exchanged: when exactly is known too roughly for more of it."""
-    return spoiled is not None and spoiled.sensor == sensor
 
 
 def _named(found: Finding, without: Collection[str]) -> Finding:

@@ -11,7 +11,8 @@ import msgspec
 
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine, refuse_too_little
+from stillcal.calib_core.diagnosis.diagnose import examine, refuse_too_little
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins

@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import (
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.errors import UserError

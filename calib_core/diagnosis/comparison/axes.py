@@ -14,8 +14,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, subtract
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct.axis_exchange import exchanges
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Parameter
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 

@@ -12,9 +12,9 @@ from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smalle
 from stillcal.calib_core.diagnosis.comparison.linear import transferable
 from stillcal.calib_core.diagnosis.comparison.noise import TIMES
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct import quantities, smallest
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones

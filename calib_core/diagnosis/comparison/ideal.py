@@ -25,7 +25,7 @@ from stillcal.calib_core.diagnosis.comparison.records import (
     NotCompared,
 )
 from stillcal.calib_core.diagnosis.comparison.stated import is_sure, undecided_finding
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE

@@ -31,7 +31,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.comparison.without_name import is_course, may_be_had
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 
 Reasons = Mapping[Key, str | None]

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.judged import Judged

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings

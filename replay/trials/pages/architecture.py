@@ -67,7 +67,8 @@ For a given task, [tasks.md](tasks.md) names the place; [glossary.md](glossary.m
   `calib_core/calibration/acceptance.py`: the acceptance rule.
 - `daemon/app.py`: the daemon from its start to its end; `daemon/service/phone_session.py`: one phone's line.
 - `replay/runner.py`: the same engine on a recording, in a hundred lines.
-- `calib_core/diagnosis/diagnose.py`: the diagnosis.
+- `calib_core/diagnosis/diagnose.py`: the diagnosis, stage by stage in `examine`; `examination.py` is what the
+  stages leave. `calib_core/diagnosis/comparison/compare.py`: two recordings, or one and its simulation.
 """
 
 Imports = Mapping[str, frozenset[str]]

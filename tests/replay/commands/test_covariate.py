@@ -16,7 +16,7 @@ from scipy.io import savemat
 import stillcal
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import compare
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.export.imu import noise_of
 from stillcal.replay.formats.covariates import of_values, read_covariates

@@ -16,8 +16,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, linear_quantities, proposed
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins

@@ -13,13 +13,13 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Sought
 from stillcal.calib_core.diagnosis.comparison.noise import BLURRED, why_no_density
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies, kind_of_column
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves

@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, Wanted, kin
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import differs, key_of
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.records import Finding
 

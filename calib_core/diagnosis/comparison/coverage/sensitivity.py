@@ -15,8 +15,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import kind_of
 from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, Difference
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Reduced,
     fit_hypothesis,

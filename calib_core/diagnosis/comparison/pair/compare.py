@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import axes_of
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 

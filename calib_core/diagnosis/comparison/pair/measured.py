@@ -23,8 +23,8 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import GAIN_SIZES
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.compare import compare
-from stillcal.calib_core.diagnosis.diagnose import Examination
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.replay.diagnosis.judged import examined

@@ -17,7 +17,8 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     step_of_other,
 )
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor

@@ -8,7 +8,8 @@ import pytest
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import direct_checks
 from stillcal.calib_core.diagnosis.comparison.noise import low_passes, why_not_measured
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turned_pairs import low_passed
 

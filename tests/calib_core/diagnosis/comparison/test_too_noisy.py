@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.of_samples import differences_of_samples
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from tests.support.diagnosis.hours import Hour, made

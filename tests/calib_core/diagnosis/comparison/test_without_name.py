@@ -13,7 +13,8 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.comparison.without_name import BY_NAME, SAME, is_course, may_be_had
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER as REST
 from stillcal.calib_core.diagnosis.slow.statement import Stated

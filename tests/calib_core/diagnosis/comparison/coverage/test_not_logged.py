@@ -9,8 +9,9 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, subtract, weighed
-from stillcal.calib_core.diagnosis.diagnose import Examination, examine
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 NAMES = ("rec.csv", "sim.csv")

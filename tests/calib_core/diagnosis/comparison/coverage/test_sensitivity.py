@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
-from stillcal.calib_core.diagnosis.diagnose import Examination
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
