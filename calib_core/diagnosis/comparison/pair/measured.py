@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.compare import agree, apart, crossing_temperatures
 from stillcal.calib_core.diagnosis.comparison.linear import (
     ALIKE_BIAS,
     ALIKE_SCALE,
@@ -23,6 +22,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import GAIN_SIZES
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.reference_point import agree, apart, crossing_temperatures
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
