@@ -12,8 +12,9 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Part, Quantity, Relation
 from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_terms
+from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import AXES, Where

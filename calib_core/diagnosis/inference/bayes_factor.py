@@ -11,13 +11,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.diagnosis.inference.likelihood import (
-    NOTHING,
-    Reduced,
     expected_information,
     gain_bound,
     log_sum,
     maximum,
 )
+from stillcal.calib_core.diagnosis.inference.reduction import NOTHING, Reduced
 
 SIZES = 10.0 ** -np.arange(0.0, 3.1, 0.5)
 """Prior standard deviations, as parts of the physically largest size: the least that quiet rests show is

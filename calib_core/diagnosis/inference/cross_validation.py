@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, log_sum, log_terms
+from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View
 

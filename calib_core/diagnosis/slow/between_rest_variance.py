@@ -13,7 +13,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import of_probabilities
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced, joint, log_sum, log_terms
+from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_sum, log_terms
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95

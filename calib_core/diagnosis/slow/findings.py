@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding

@@ -15,7 +15,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import BiasEffect
 from stillcal.calib_core.diagnosis.effects.unknown import LENGTHS, Unknown, waves_on_axes
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES, log_evidence
-from stillcal.calib_core.diagnosis.inference.likelihood import NOTHING, fit_hypothesis, log_sum
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, log_sum
+from stillcal.calib_core.diagnosis.inference.reduction import NOTHING
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, difference

@@ -12,15 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.inference.likelihood import (
-    Reduced,
-    explained,
-    joint,
-    log_terms,
-    projected,
-    stacked,
-)
+from stillcal.calib_core.diagnosis.inference.likelihood import explained, joint, log_terms
 from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced, projected, stacked
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS, Dictionary, Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View

@@ -19,15 +19,14 @@ from stillcal.calib_core.diagnosis.effects.covariate import copies, of_column
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     Fit,
     Maximum,
-    Reduced,
     fit_hypothesis,
     gain_bound,
     highest,
     maximum,
     null_log_likelihood,
-    reduce_view,
     with_shared_fitted,
 )
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced, reduce_view
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, difference

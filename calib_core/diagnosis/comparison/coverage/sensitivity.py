@@ -18,13 +18,13 @@ from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, Differen
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import (
-    Reduced,
     fit_hypothesis,
     joint_log_likelihood,
     log_terms,
     null_log_likelihood,
     squares_left,
 )
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals

@@ -7,8 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_view
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
 from stillcal.calib_core.diagnosis.inference.noise_models import families
+from stillcal.calib_core.diagnosis.inference.reduction import reduce_view
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from tests.support.diagnosis import nulls

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
-from stillcal.calib_core.diagnosis.inference.likelihood import Reduced
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import search
