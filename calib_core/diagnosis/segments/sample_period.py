@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.maths.rms import rms
@@ -81,28 +82,29 @@ def _evenly_apart(lost: Array) -> bool:
     """
     from scipy.special import chdtrc  # noqa: PLC0415 - the daemon stays light
 
-    apart = _distances(lost)
+    apart = np.diff(_gaps(lost)[0])
     pairs = apart[: apart.size // 2 * 2].reshape(-1, 2)
     alike = np.maximum(np.abs(pairs[:, 0] - pairs[:, 1]), 0.5) / (pairs.sum(axis=1) - 1.0)
     return bool(pairs.size) and float(chdtrc(pairs.size, -2.0 * np.log(alike).sum())) < CHANCE
 
 
-def _distances(lost: Array) -> Array:
-    """Return the distances (m,) from gap to gap, in samples.
+def _gaps(lost: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where the gaps (m,) are among the samples, and among these and the lost ones.
 
     Jitter beside a step's edge makes a gap that is taken back at once; the first time counts that so many
     samples are missing.
     """
     missing = np.cumsum(lost) * np.sign(lost.sum())
     most = np.maximum.accumulate(np.concatenate([[0.0], missing]))
-    return np.diff(np.flatnonzero(np.diff(most)))
+    places = np.flatnonzero(np.diff(most))
+    return places, places + most[places].astype(np.int64)
 
 
 def rounded_to_intervals(t: Array) -> bool:
     """Whether stamps t (n,) are rounded to steps as long as the usual interval, as 833 Hz in ms.
 
     Some intervals are then twice as long (or nothing, where the rate is higher than the steps'), more evenly
-    than losses by chance. Their distances differ by one. Where all are the same, every so-many-th sample is
+    than losses by chance. Their distances differ by one. Where they are the same, every so-many-th sample is
     lost, unless the interval is a step to which times are written (10 ms, 1 ms): then it may be either.
     """
     usual, longer = _in_intervals(t)
@@ -128,8 +130,19 @@ def _in_intervals(t: Array) -> tuple[float, Array | None]:
 
 
 def _equally_far_apart(lost: Array) -> bool:
-    """Whether all distances between gaps in which samples (n,) are missing are the same."""
-    return bool(lost.sum() > 0.0) and not np.ptp(_distances(lost))
+    """Whether most gaps, of three and more, lie at every so-many-th place, and the others anywhere.
+
+    lost: (n,) samples after each one. Gaps that rounding makes come to be one place off, and stay so.
+    """
+    if lost.sum() <= 0.0:
+        return False
+    _, places = _gaps(lost)
+    every = int(np.bincount(np.diff(places)).argmax())
+    at = places % every
+    off = np.abs(at - np.bincount(at).argmax())
+    off = np.minimum(off, every - off)
+    others = off[off > 0]
+    return bool(2 * others.size < off.size and 2 * np.count_nonzero(others == 1) <= others.size)
 
 
 def sample_period(t: Array) -> float:

@@ -93,6 +93,30 @@ def test_every_400th_sample_that_is_missing_is_lost(n: int) -> None:
     assert [f.effect for f in found] == ["dropped_samples"]
 
 
+@pytest.mark.parametrize(("every", "others"), [(400, 5), (400, 60), (20, 300), (7, 20)])
+def test_every_so_many_th_sample_is_lost_beside_others_by_chance(every: int, others: int) -> None:
+    """Five others made a clock that is 0.26 % slow of every 400th, for distances were not all the same."""
+    n = 60_000
+    lost = np.isin(
+        np.arange(n), np.random.default_rng(every).choice(np.arange(1, n - 1), others, replace=False)
+    )
+    lost[every::every] = True
+    t = np.flatnonzero(~lost) / 50.0
+    samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(np.zeros((t.size, 3))))
+    (found,) = timing_findings(samples, Claims(nominal_rate_hz=50.0), sound_phones())
+    assert found.effect == "dropped_samples"
+    assert found.parameters["fraction"].value == pytest.approx(lost.mean(), abs=1e-3)
+
+
+@pytest.mark.parametrize("shifted_after", [0.3, 0.7])
+@pytest.mark.parametrize("gaps", [12, 60])
+def test_gaps_that_come_to_be_one_sample_off_are_made_by_rounding(gaps: int, shifted_after: float) -> None:
+    """Every 300th and a bit, so that most of them are 300 apart and in one place."""
+    edges = 300 * np.arange(1, gaps + 1) + (np.arange(gaps) >= shifted_after * gaps)
+    t = np.delete(np.arange(300 * (gaps + 1)), edges) * 0.02
+    assert rounded_to_intervals(t)
+
+
 @pytest.mark.parametrize(("hz", "every"), [(99.8004, 500), (98.387097, 61), (100.0, 400)])
 def test_gaps_equally_far_apart_tell_nothing_of_stamps_that_are_written_in_such_steps(
     hz: float, every: int
