@@ -23,12 +23,12 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import own_effects
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
-from stillcal.calib_core.diagnosis.inference.likelihood import highest
+from stillcal.calib_core.diagnosis.inference.likelihood import highest, reduce_residuals
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.screen import screened
-from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_residuals
+from stillcal.calib_core.diagnosis.slow.search import proposals
 from stillcal.calib_core.diagnosis.slow.standing import CHANCE
 from stillcal.replay.blind_test.cases import make_case
 from stillcal.replay.blind_test.designs import Design

@@ -21,7 +21,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together
@@ -36,7 +36,6 @@ from stillcal.calib_core.diagnosis.model.residuals import (
 from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE
 from stillcal.calib_core.diagnosis.slow.about_force import about_point
 from stillcal.calib_core.diagnosis.slow.estimate import GRID_PARAMETERS, averaged
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
 
 RATE_BIAS_SIZE = 0.05

@@ -12,7 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Part, Quantity, Relation
 from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_terms
+from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_terms, reduce_residuals
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED, families
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
@@ -24,7 +24,6 @@ from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
 from stillcal.calib_core.diagnosis.noise.noise_level import Levels, odd_one_out, ratios_to_others
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples

@@ -9,12 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.noise_models import STRENGTHS
-from stillcal.calib_core.diagnosis.inference.reduction import NOTHING, Reduced
+from stillcal.calib_core.diagnosis.inference.reduction import NOTHING, Reduced, reduce_view
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 
 ITERATIONS = 25
 ALIKE = 0.95
@@ -22,6 +24,38 @@ ALIKE = 0.95
 
 NEARLY = (0.5, 0.35, 0.2, 0.1, 0.05)
 """Weights of an axis' strength 0, 1, ... quarter decades of variance off the strength that the axes share."""
+
+
+def reduce_residuals(
+    residuals: SensorResiduals,
+    hypotheses: Sequence[Hypothesis] = (),
+    found: Sequence[Hypothesis] = (),
+    *,
+    parts: bool = False,
+) -> list[Reduced]:
+    """Reduce every view for hypotheses, and for none of them; with `parts`, each is followed by its axes."""
+    widths = [h.columns[0].shape[2] for h in hypotheses]
+    ends = np.cumsum([0, *widths])
+    index = [np.arange(a, b) for a, b in pairwise(ends)]
+    reduced = []
+    for i, view in enumerate(residuals.views):
+        none = np.zeros((*view.y.shape, 0))
+        design = np.concatenate([none, *(h.columns[i] * h.sizes for h in hypotheses)], axis=2)
+        extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
+        always = None if residuals.shared is None else residuals.shared.columns[i] * residuals.shared.sizes
+        reduced.append(reduce_view(view, design, index, _nonzero(extra), always))
+    if parts:
+        axes = [[np.flatnonzero(h.axis_of == a) for a in range(3)] for h in hypotheses]
+        reduced = [view.with_parts(axes) for view in reduced]
+    return _with_shared_fitted(reduced)
+
+
+def _nonzero(extra: Array | None) -> Array | None:
+    """Drop columns that a view does not see."""
+    if extra is None:
+        return None
+    seen = np.abs(extra).max(axis=(0, 1)) > 0.0
+    return extra[:, :, seen] if seen.any() else None
 
 
 def null_log_likelihood(views: Sequence[Reduced]) -> float:
@@ -193,7 +227,7 @@ def maximum(views: Sequence[Reduced], h: int) -> Maximum:
     return max((_climb(views, h, start) for start in (informed, plain)), key=lambda c: c[1])
 
 
-def with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
+def _with_shared_fitted(views: list[Reduced]) -> list[Reduced]:
     """Return the views of one sensor with what is left where no effect is: all that they share fitted."""
     if views[0].shared == 0:
         return views

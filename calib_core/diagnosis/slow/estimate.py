@@ -18,11 +18,11 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     fit_hypothesis,
     highest,
     null_log_likelihood,
+    reduce_residuals,
 )
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Parameter
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 GRID_PARAMETERS = ("tau_s", "period_s")
 

@@ -8,18 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.slow import between_rest_variance as jumps
-from stillcal.calib_core.diagnosis.slow.search import (
-    Step,
-    adequate,
-    beside_each_other,
-    forward,
-    reduce_residuals,
-)
+from stillcal.calib_core.diagnosis.slow.search import Step, adequate, beside_each_other, forward
 from stillcal.calib_core.diagnosis.slow.standing import statements_of
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import wander

@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import BiasEffect
 from stillcal.calib_core.diagnosis.effects.unknown import LENGTHS, Unknown, waves_on_axes
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES, log_evidence
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, log_sum
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, log_sum, reduce_residuals
 from stillcal.calib_core.diagnosis.inference.reduction import NOTHING
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameter
 from stillcal.calib_core.diagnosis.model.moments import Moments, first_order
 from stillcal.calib_core.diagnosis.model.records import Departure
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, evidence_of
-from stillcal.calib_core.diagnosis.slow.search import Scored, Step, reduce_residuals, refined
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, refined
 from stillcal.calib_core.streams.time_series import TimeSeries
 
 LAGS = (20.0, 60.0, 200.0, 600.0, 2000.0)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby, pairwise
+from itertools import groupby
 
 import numpy as np
 
@@ -24,15 +24,15 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     highest,
     maximum,
     null_log_likelihood,
-    with_shared_fitted,
+    reduce_residuals,
 )
-from stillcal.calib_core.diagnosis.inference.reduction import Reduced, reduce_view
+from stillcal.calib_core.diagnosis.inference.reduction import Reduced
+from stillcal.calib_core.diagnosis.inference.score import degrees, score, visible
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, difference
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
-LN10 = float(np.log(10.0))
 COLUMNS = 128
 """Of hypotheses reduced together, the baseline taken off once: 30 MB of sums. More take no less time."""
 
@@ -66,27 +66,6 @@ class Step:
     def explained(self) -> tuple[Hypothesis, ...]:
         """What later steps project out."""
         return (self.winner.hypothesis, *self.neighbours)
-
-
-def score(gain: float, parameters: int, dof: float, trials: float) -> float:
-    """Return S: minus log10 of the F tail of a gain in log likelihood, less log10 of the grid's size."""
-    tail = log_tail(2.0 * max(gain, 0.0) / dof, parameters, max(dof - parameters, 1.0))
-    return float(-tail / LN10 - np.log10(trials))
-
-
-def log_tail(fall: float, parameters: int, dof: float) -> float:
-    """Return the log probability that chance lowers the log of a sum of squares by `fall` and more.
-
-    The tail of F is I_x(dof/2, parameters/2), x = exp(-fall) (Abramowitz and Stegun, 26.6.2); where that is
-    less than a double holds, its series in x (26.5.4) is summed as if b were small beside a.
-    """
-    from scipy.special import betainc, betaln  # noqa: PLC0415 - the daemon stays light
-
-    a, b = dof / 2.0, parameters / 2.0
-    tail = float(betainc(a, b, np.exp(-fall)))
-    if tail > np.finfo(np.float64).tiny:
-        return float(np.log(tail))
-    return float(-a * fall + (b - 1.0) * np.log1p(-np.exp(-fall)) - np.log(a) - betaln(a, b))
 
 
 def proposals(residuals: SensorResiduals, effects: Sequence[Effect]) -> list[Hypothesis]:
@@ -162,52 +141,6 @@ def _judged(
         of_whole = top if part == whole else of_whole
         best = max(best, score(top[1] - null, rank, dof, trials * cost))
     return best, of_whole
-
-
-def degrees(reduced: Sequence[Reduced], h: int) -> float:
-    """Return the degrees of freedom of the views that see hypothesis `h`."""
-    return sum(v.dof for v in reduced if v.own(h)[0].trace() > 0.0)
-
-
-def reduce_residuals(
-    residuals: SensorResiduals,
-    hypotheses: Sequence[Hypothesis] = (),
-    found: Sequence[Hypothesis] = (),
-    *,
-    parts: bool = False,
-) -> list[Reduced]:
-    """Reduce every view for hypotheses, and for none of them; with `parts`, each is followed by its axes."""
-    widths = [h.columns[0].shape[2] for h in hypotheses]
-    ends = np.cumsum([0, *widths])
-    index = [np.arange(a, b) for a, b in pairwise(ends)]
-    reduced = []
-    for i, view in enumerate(residuals.views):
-        none = np.zeros((*view.y.shape, 0))
-        design = np.concatenate([none, *(h.columns[i] * h.sizes for h in hypotheses)], axis=2)
-        extra = np.concatenate([f.columns[i] * f.sizes for f in found], axis=2) if found else None
-        always = None if residuals.shared is None else residuals.shared.columns[i] * residuals.shared.sizes
-        reduced.append(reduce_view(view, design, index, _nonzero(extra), always))
-    if parts:
-        axes = [[np.flatnonzero(h.axis_of == a) for a in range(3)] for h in hypotheses]
-        reduced = [view.with_parts(axes) for view in reduced]
-    return with_shared_fitted(reduced)
-
-
-def _nonzero(extra: Array | None) -> Array | None:
-    """Drop columns that a view does not see."""
-    if extra is None:
-        return None
-    seen = np.abs(extra).max(axis=(0, 1)) > 0.0
-    return extra[:, :, seen] if seen.any() else None
-
-
-def visible(reduced: Sequence[Reduced], h: int) -> int:
-    """Return how many directions of hypothesis `h` would show above white noise at their physical size."""
-    information = np.asarray(sum(v.blocks[h][0] for v in reduced))
-    k = len(information) - reduced[0].shared
-    across = information[:k, k:]
-    hidden = across @ np.linalg.solve(information[k:, k:] + np.eye(len(information) - k), across.T)
-    return int((np.linalg.eigvalsh(information[:k, :k] - hidden) > 1.0).sum())
 
 
 def forward(

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
@@ -19,13 +19,7 @@ from stillcal.calib_core.diagnosis.slow import statement
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.form import departures_of, doubted
 from stillcal.calib_core.diagnosis.slow.form import stated as form_stated
-from stillcal.calib_core.diagnosis.slow.search import (
-    Scored,
-    Step,
-    adequate,
-    reduce_residuals,
-    without_name,
-)
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, without_name
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 CHANCE = 1e-3

@@ -11,17 +11,13 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.corrections.catalogue import ADOPT, ADOPTABLE
 from stillcal.calib_core.diagnosis.effects.covariate import copies
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS, HeldOut, held_out, likely_shapes
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, squares_left
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals, squares_left
+from stillcal.calib_core.diagnosis.inference.score import LN10
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, evidence_of, parameters, tried
-from stillcal.calib_core.diagnosis.slow.search import (
-    LN10,
-    Scored,
-    Step,
-    reduce_residuals,
-)
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step
 
 GRID_STRIDE = 3
 """Each third point of the fine grid is a candidate in every fold: neighbours are alike."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import LEAST_PROBABILITY
-from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_sum, log_terms
+from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_sum, log_terms, reduce_residuals
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
@@ -28,7 +28,6 @@ from stillcal.calib_core.diagnosis.model.records import (
     Where,
 )
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 NO_DRIVER = "nothing that was recorded"
 """What wander without a name follows."""

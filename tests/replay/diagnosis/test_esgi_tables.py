@@ -14,11 +14,12 @@ from msgspec import structs
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.timed import Step
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.inference.noise_models import families
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.screen import screened
-from stillcal.calib_core.diagnosis.slow.search import proposals, reduce_residuals
+from stillcal.calib_core.diagnosis.slow.search import proposals
 from stillcal.calib_core.static.rest import RestState
 from stillcal.replay.diagnosis.rest_table import diagnose_rests, rest_bins, told_of_temperatures
 from stillcal.replay.formats.rest_table import read_rest_table

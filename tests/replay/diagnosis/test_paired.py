@@ -15,8 +15,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor

@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
-from stillcal.calib_core.diagnosis.inference.likelihood import highest, null_log_likelihood
+from stillcal.calib_core.diagnosis.inference.likelihood import highest, null_log_likelihood, reduce_residuals
+from stillcal.calib_core.diagnosis.inference.score import degrees, score
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
-from stillcal.calib_core.diagnosis.slow.search import degrees, reduce_residuals, score
 from stillcal.replay.blind_test.keys import Key, key_of
 from stillcal.replay.diagnosis.judged import examined
 from stillcal.replay.formats.trace import read_all

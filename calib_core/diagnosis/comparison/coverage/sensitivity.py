@@ -1,6 +1,6 @@
 """How small an effect one recording would have shown, from the covariance of the model that looked for it.
 
-The search states an effect where the gain in log likelihood passes its threshold (`slow.search.score`). An
+The search states an effect where the gain in log likelihood passes its threshold (`inference.score`). An
 effect on one axis is put into the recording's own residuals, so large that it just does: chance takes half of
 such effects below the threshold. Nine in ten are found that are 1.28 standard errors larger.
 """
@@ -22,14 +22,15 @@ from stillcal.calib_core.diagnosis.inference.likelihood import (
     joint_log_likelihood,
     log_terms,
     null_log_likelihood,
+    reduce_residuals,
     squares_left,
 )
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
+from stillcal.calib_core.diagnosis.inference.score import degrees, gain_of
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
-from stillcal.calib_core.diagnosis.slow.search import LN10, degrees, reduce_residuals
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
@@ -153,11 +154,11 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
     # The prior is taken off again: what is wanted is the error of the data alone.
     sigma = np.sqrt(variance / np.maximum(1.0 - variance, 1e-9))
     informed = np.sqrt(variance) < INFORMED
-    needed = _needed_gain(
-        degrees(reduced, index),
+    needed = gain_of(
+        thresholds.SCORE + effect.prior_penalty,
         int(np.count_nonzero(hypothesis.axis_of == 0)),
+        degrees(reduced, index),
         hypothesis.multiplicity * ONE_AXIS,
-        effect.prior_penalty,
     )
     smallest, first, hardly = [], 0, False
     for parameter in effect.parameters:
@@ -243,7 +244,7 @@ def _passes(reduced: Sequence[Reduced], hypothesis: Hypothesis, size: Array, cos
     if sigmas <= NINE_IN_TEN:
         return False
     trials = max(hypothesis.multiplicity, 1.0) * cost
-    needed = _needed_gain(degrees(reduced, 0), used.size, trials, effect.prior_penalty)
+    needed = gain_of(thresholds.SCORE + effect.prior_penalty, used.size, degrees(reduced, 0), trials)
     every = np.zeros(fit.every.size)
     # What is larger than physics makes it shows no worse, though its prior is against it.
     possible = min(1.0, ONE_IN_TEN / float(np.abs(size).max()))
@@ -283,19 +284,6 @@ def _smallest(hypothesis: Hypothesis, parameter: Linear, size: float) -> Smalles
     effect = hypothesis.effect
     at = {k: v for k, v in hypothesis.grid.items() if k in effect.grid_units}
     return Smallest(effect.name, effect.sensor, parameter.name, size, parameter.unit, at)
-
-
-def _needed_gain(dof: float, parameters: int, trials: float, penalty: float) -> float:
-    """Return the gain in log likelihood at which the score reaches the threshold.
-
-    It is the inverse of `slow.search.score`: the tail of F is I_x(dof/2, k/2), x = exp(-2 gain / dof).
-    """
-    from scipy.special import betaincinv  # noqa: PLC0415 - the daemon stays light
-
-    left = max(dof - parameters, 1.0)
-    tail = np.exp(-(thresholds.SCORE + penalty + np.log10(trials)) * LN10)
-    x = float(betaincinv(left / 2.0, parameters / 2.0, tail))
-    return -0.5 * dof * float(np.log(max(x, 1e-300)))
 
 
 def each_once(rows: Sequence[Smallest]) -> tuple[Smallest, ...]:

@@ -25,13 +25,12 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantit
 from stillcal.calib_core.diagnosis.comparison.reference_point import agree, apart, crossing_temperatures
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 SHIFTED = {

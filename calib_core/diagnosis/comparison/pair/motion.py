@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.bayes_factor import ALL_AXES
-from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log_likelihood
+from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, null_log_likelihood, reduce_residuals
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, SLOW_BAND, Finding, Where, only_unknown
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 
 STRENGTHS = 10.0 ** np.arange(-1.0, 9.0)
 """Excess variances that are tried, as parts of the bins' median white variance, all equally likely: from what

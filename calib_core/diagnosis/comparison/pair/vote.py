@@ -16,10 +16,9 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
-from stillcal.calib_core.diagnosis.inference.likelihood import log_sum
+from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, reduce_residuals
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import wander
 

@@ -7,9 +7,9 @@ import pytest
 
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.inference import bayes_factor
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from tests.support.diagnosis import nulls
 
 AT = 1890.0

@@ -11,10 +11,10 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.effects.by_force import GSensitivity
 from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_factor
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.model.earth import RATE, ground
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.nulls import G

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import f as f_distribution
 
-from stillcal.calib_core.diagnosis.slow.search import score
+from stillcal.calib_core.diagnosis.inference.score import score
 
 
 @pytest.mark.parametrize(("parameters", "dof"), [(1, 30.0), (3, 705.0), (9, 7200.0)])

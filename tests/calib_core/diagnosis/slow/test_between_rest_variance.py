@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER, jumps
-from stillcal.calib_core.diagnosis.slow.search import ranking, reduce_residuals
+from stillcal.calib_core.diagnosis.slow.search import ranking
 from tests.support.diagnosis import nulls
 from tests.support.diagnosis.said import slow_findings
 

@@ -15,7 +15,13 @@ from stillcal.calib_core.codec import plain
 from stillcal.calib_core.diagnosis.effects.by_force import distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import LatentHeat
-from stillcal.calib_core.diagnosis.inference.likelihood import log_sum, log_terms, null_log_likelihood
+from stillcal.calib_core.diagnosis.inference.likelihood import (
+    log_sum,
+    log_terms,
+    null_log_likelihood,
+    reduce_residuals,
+)
+from stillcal.calib_core.diagnosis.inference.score import score
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.moments import History, Moments
@@ -24,14 +30,7 @@ from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import search, standing, statement
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.findings import not_unknown_twice
-from stillcal.calib_core.diagnosis.slow.search import (
-    Step,
-    adequate,
-    forward,
-    ranking,
-    reduce_residuals,
-    score,
-)
+from stillcal.calib_core.diagnosis.slow.search import Step, adequate, forward, ranking
 from stillcal.calib_core.diagnosis.slow.standing import _to_and_fro, each_driver_once
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from tests.support.diagnosis import nulls

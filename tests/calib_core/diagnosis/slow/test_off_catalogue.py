@@ -12,7 +12,11 @@ from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.unknown import ForceCurve, GainBySign, Settling
 from stillcal.calib_core.diagnosis.effects.warmup import Warmup
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, null_log_likelihood
+from stillcal.calib_core.diagnosis.inference.likelihood import (
+    fit_hypothesis,
+    null_log_likelihood,
+    reduce_residuals,
+)
 from stillcal.calib_core.diagnosis.model import residuals as views
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Dictionary
@@ -21,15 +25,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import statement
 from stillcal.calib_core.diagnosis.slow.screen import hypothesis, screened
-from stillcal.calib_core.diagnosis.slow.search import (
-    Scored,
-    Step,
-    compete,
-    prefer_named,
-    proposals,
-    ranking,
-    reduce_residuals,
-)
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, compete, prefer_named, proposals, ranking
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import effects, nulls
 from tests.support.diagnosis.said import findings_of, slow_findings

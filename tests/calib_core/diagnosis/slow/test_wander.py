@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
-from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.calib_core.diagnosis.slow.wander import Wander, sizes_along_gravity, wander, wanders_of
 from tests.support.diagnosis import nulls
 
