@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
-from stillcal.calib_core.diagnosis.effects.covariate import driver_of
+from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -151,7 +151,7 @@ def _driven(simulation: Recording, recording: Recording, bins: Bins, before: Com
     bins: the recording's, whose temperature it is.
     """
     drivers = {d.where.driver for d in before.discrepancies if d.note}
-    if any("temperature" in driver for driver in drivers):
+    if any(map(follows_temperature, drivers)):
         simulation = _warmed(simulation, bins)
     assumed = {n: c for n, c in recording.covariates.items() if driver_of(n) in drivers}
     if not assumed:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
-from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import follows_time
 from stillcal.calib_core.diagnosis.comparison.linear import kind_of, proposed, wanted_of
+from stillcal.calib_core.diagnosis.effects.followed import follows_time
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding

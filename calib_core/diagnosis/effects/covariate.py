@@ -10,6 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.bias import SIZE, PolynomialBias
+from stillcal.calib_core.diagnosis.effects.followed import driver_of
 from stillcal.calib_core.diagnosis.effects.warmup import nearby, time_constants
 from stillcal.calib_core.diagnosis.model.effect import Grid
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
@@ -79,11 +80,6 @@ class LaggedCovariateBias(CovariateBias):
     def course(self, moments: Moments, grid: Grid) -> TimeSeries:
         """Return the column behind its lag, in its own unit."""
         return first_order(moments.history.columns[self.column], grid["tau_s"])
-
-
-def driver_of(column: str) -> str:
-    """Return what an effect of a column follows, in words."""
-    return f"the column {column}"
 
 
 def kind_of_column(column: str) -> str:

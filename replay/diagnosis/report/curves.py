@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.effects.followed import follows_temperature
 from stillcal.calib_core.diagnosis.inference.cross_validation import FOLDS
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.model.residuals import View, norm_view
@@ -260,7 +261,7 @@ def _size(y: Array, column: Array, baseline: Array) -> float:
 def _driver(finding: Finding, bins: Bins, axis: int, affine: AffinePhone) -> tuple[str, Array]:
     """Return the name and the values (n,) of what a finding is drawn against."""
     follows = finding.where.driver
-    if "temperature" in follows and bins.temperature is not None:
+    if follows_temperature(follows) and bins.temperature is not None:
         return "temperature, °C", bins.temperature
     if follows in ("own force", "attitude", "attitude, nonlinearly"):
         other = axis if finding.sensor == "accel" else _strongest_axis(finding, axis)

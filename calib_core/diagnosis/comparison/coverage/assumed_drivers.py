@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogg
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, linear_quantities, proposed
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.effects.followed import follows_temperature
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.effect import BLOCKS_ACROSS
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
@@ -72,7 +73,7 @@ def driven(simulated: Examination, recorded: Examination, missing: Sequence[NotL
 
 
 def _of_temperature(missing: NotLogged) -> bool:
-    return "temperature" in missing.effect.follows
+    return follows_temperature(missing.effect.follows)
 
 
 def _warmed(bins: Bins, course: TimeSeries) -> Bins:

@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies, kind_of_column
+from stillcal.calib_core.diagnosis.effects.followed import follows_temperature
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -160,6 +161,8 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     yield not moving, f"the column {column} does not change at rest, so nothing can follow it"
     yield sensor == exam.exchanged, "its axes are exchanged"
     yield from _of_rest(exam, sensor)
+    if column:
+        return
     yield not exam.timed and effect.endswith(OF_TIME), "the table's rows have no time"
     if "temperature" in effect:
         yield from _of_temperature(exam)
@@ -199,7 +202,7 @@ def why_not_logged(exam: Examination, effect: Effect) -> str | None:
     if isinstance(effect, CovariateBias):
         logged = any(effect.column in residuals.covariates for residuals in exam.sensors)
         return None if logged else f"no column {effect.column}"
-    if "temperature" in effect.follows and exam.bins.temperature is None:
+    if follows_temperature(effect.follows) and exam.bins.temperature is None:
         return next(why for stands, why in _of_temperature(exam) if stands)
     return NO_CHARGING if "charging" in effect.follows and exam.bins.charging is None else None
 

@@ -16,6 +16,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear import kind_of
 from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, Difference
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.effects.followed import follows_time
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import (
     fit_hypothesis,
@@ -108,11 +109,6 @@ def _stated(exam: Examination, residuals: SensorResiduals) -> list[Hypothesis]:
         for s in exam.statements
         if s.hypothesis is not None and s.residuals is not None and kind_of(s.residuals) == kind_of(residuals)
     ]
-
-
-def follows_time(driver: str) -> bool:
-    """Whether an effect with this driver needs to know when a rest was."""
-    return "time" in driver or driver.startswith("charging")
 
 
 def _of_one(

@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.comparison.without_name import BY_NAME, SAME, is_course, may_be_had
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.effects.followed import driver_of
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.between_rest_variance import DRIVER as REST
@@ -82,6 +83,7 @@ def nameless(driver: str, **sizes: float) -> Finding:
         (nameless("time", amplitude=0.1), True),
         (nameless("time", amplitude=0.1, period_s=60.0), False),
         (nameless("temperature", amplitude=0.1), False),
+        (nameless(driver_of("uptime"), amplitude=0.1), False),
     ],
 )
 def test_a_course_goes_once_and_follows_time_or_nothing(finding: Finding, course: bool) -> None:

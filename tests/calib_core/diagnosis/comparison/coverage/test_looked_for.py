@@ -1,0 +1,43 @@
+"""Why an effect was not looked for: that of a logged column needs the column, whatever its name says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature, follows_time
+from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.calib_core.streams.time_series import TimeSeries
+
+
+@pytest.mark.parametrize("column", ["temperature 2", "charging_bias", "warmup"])
+def test_a_column_named_as_another_driver_needs_no_such_driver(column: str) -> None:
+    """Without a thermometer it was said that there is "no temperature" for the column `temperature 2`."""
+    t = np.arange(0.0, 600.0, 0.04)
+    xyz = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(0).normal(0.0, 0.01, (t.size, 3))
+    samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
+    exam = examine(samples, None, sought=(), covariates={column: TimeSeries(t, np.sin(t / 100.0))})
+    effect = "accel_bias_" + column.replace(" ", "_")
+    assert exam.sensors[0].column_means.keys() == {column}
+    assert obstacle(exam, effect, "accel") is None
+    assert obstacle(exam, "accel_bias_temperature", "accel") == "no temperature"
+
+
+@pytest.mark.parametrize(
+    ("driver", "time", "temperature"),
+    [
+        ("time since start", True, False),
+        ("charging and use", True, False),
+        ("temperature", False, True),
+        ("attitude", False, False),
+        (driver_of("uptime"), False, False),
+        (driver_of("board temperature"), False, False),
+    ],
+)
+def test_what_an_effect_follows_is_read_of_what_is_no_columns_name(
+    driver: str, time: bool, temperature: bool
+) -> None:
+    assert (follows_time(driver), follows_temperature(driver)) == (time, temperature)
