@@ -66,6 +66,17 @@ class View:
         """Number of baseline parameters projected out, over all blocks."""
         return int(self.baseline.shape[0] * self.baseline.shape[2])
 
+    def free(self) -> float:
+        """Return how many of the residuals are left by what the baseline phone may do.
+
+        A parameter of which something is known takes one as far as it is told here and not beforehand.
+        """
+        left = self.y.size - self.parameters
+        if self.absorbed is None:
+            return float(left)
+        told = np.linalg.svd(self.absorbed / np.sqrt(self.variance)[:, None], compute_uv=False) ** 2
+        return float(left - (told / (1.0 + told)).sum())
+
     def nuisance(self, block: int = 0) -> Array:
         """Return all that the baseline phone may do in a block, (n, p + q)."""
         own = self.baseline[block]

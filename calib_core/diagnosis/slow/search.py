@@ -74,9 +74,7 @@ def proposals(residuals: SensorResiduals, effects: Sequence[Effect]) -> list[Hyp
     A curve without a name that has more numbers than half of what the bins leave, beside all that is fitted
     anyway, goes through whatever they are: 18 of them through 24 rests in as many attitudes.
     """
-    free = sum(
-        v.y.size - v.parameters - (0 if v.absorbed is None else v.absorbed.shape[1]) for v in residuals.views
-    )
+    free = sum(v.free() for v in residuals.views)
     every = [h for effect in effects for h in residuals.hypotheses(effect)]
     return [h for h in every if h.effect.name != "unknown" or 2 * h.sizes.size <= free]
 

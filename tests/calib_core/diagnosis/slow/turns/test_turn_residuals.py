@@ -90,6 +90,22 @@ def test_turns_tell_gains_by_time_and_by_sense(name: str, driver: str) -> None:
         assert ((low < 0.0103) & (high > 0.0097)).sum() >= 2
 
 
+@pytest.mark.parametrize("changed", [0.0, 0.01])
+def test_what_is_known_of_a_nuisance_leaves_room_for_a_gain_in_few_turns(changed: float) -> None:
+    """Of 34 residuals, waves that hardly move anything took 24: no gain was looked for."""
+    force, spin, _ = day(3, 20)
+    gain = 1.0 + changed * (spin.t > 0.45 * spin.t[-1])
+    gyroscope = replace(spin, xyz=spin.xyz * gain[:, None])
+    bins = cut(force, gyroscope)
+    made = aligned(gyroscope, bins, G)
+    view = turn_view(made, bins)
+    n = view.y.size
+    assert n < 40 and n - 18 < view.free() < n - 9, "at most 9 for the accelerometer, and 9 of the gyroscope"
+    assert replace(view, absorbed=1e9 * np.eye(n)[:, :12]).free() == pytest.approx(n - 9 - 12)
+    found = turn_findings(made, bins, G)
+    assert [f.where.driver for f in found] == ["rate of turn from a moment on"] * bool(changed)
+
+
 def test_turns_that_reach_a_limit_tell_nothing_of_linearity() -> None:
     force, spin, _ = day()
     stop = float(np.quantile(np.abs(spin.xyz), 0.995))
