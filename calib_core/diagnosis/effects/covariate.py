@@ -20,6 +20,26 @@ from stillcal.calib_core.streams.time_series import TimeSeries
 COPY = 0.999
 """Correlation from which a column is a copy of what drives another effect: rounded, or in another unit."""
 
+ENDINGS = (
+    "bias",
+    "drift",
+    "latent",
+    "noise",
+    "nonlinearity",
+    "quantisation",
+    "saturation",
+    "scale",
+    "sensitivity",
+    "step",
+    "temperature",
+    "walk",
+    "warmup",
+)
+"""Ends of other effects' names, by which it is told what they are."""
+
+SUFFIX = "_column"
+"""What a column's effect is called by besides, where the column has such an end."""
+
 
 class CovariateBias(PolynomialBias):
     """The bias is a polynomial in a logged column. spread: by how much that changes, in its unit."""
@@ -31,7 +51,7 @@ class CovariateBias(PolynomialBias):
     def __init__(self, sensor: str, column: str, spread: float, degree: int = 1) -> None:
         self.column, self.follows = column, driver_of(column)
         self.kind = kind_of_column(column)
-        self.says, self.called_as = f"changes with {column}", f"change of {{bias}} with {column}"
+        self.says, self.called_as = f"changes with {column}", f"change of {{bias}} with the column {column}"
         unit = f"unit of {column}"
         per = (f" per {unit}", f" per squared {unit}", f" per cubed {unit}")
         super().__init__(sensor, degree, per, slope=SIZE[sensor] / spread, reach=spread)
@@ -83,8 +103,9 @@ class LaggedCovariateBias(CovariateBias):
 
 
 def kind_of_column(column: str) -> str:
-    """Return what follows the sensor in the name of the effect of a column."""
-    return "bias_" + (re.sub(r"\W+", "_", column).strip("_").lower() or "column")
+    """Return what follows the sensor in the name of a column's effect: it ends as no other effect's does."""
+    word = re.sub(r"\W+", "_", column).strip("_").lower() or "column"
+    return f"bias_{word}{SUFFIX}" if word.endswith(ENDINGS) else f"bias_{word}"
 
 
 def covariate_effects(sensor: str, column: str, spread: float) -> list[CovariateBias]:

@@ -92,7 +92,7 @@ def test_a_bias_that_follows_a_logged_column_is_found_with_its_slope(log: Path, 
     low, high = slope["ci95"][2]
     assert low < SLOPE < high
     assert slope["unit"] == "rad/s per unit of battery_v"
-    assert "change of the gyroscope's bias with battery_v" in text
+    assert "change of the gyroscope's bias with the column battery_v" in text
     rows = list(csv.DictReader(left.open()))
     z = np.array([[float(r["ideal"]), float(r["with_effects"])] for r in rows if r["residual"] == "rate_z"])
     before, after = np.sqrt(np.mean(z**2, axis=0))
@@ -216,7 +216,7 @@ def test_a_column_that_does_not_change_is_said_to_drive_nothing(log: Path, tmp_p
     path.write_text("\n".join([header, *(line.rpartition(",")[0] + ",3.8" for line in lines)]) + "\n")
     code, text = run(path, "--covariate", "battery_v")
     why = "the column battery_v does not change at rest, so nothing can follow it"
-    assert code == 0 and f"the gyroscope's bias with battery_v - {why}" in text
+    assert code == 0 and f"the gyroscope's bias with the column battery_v - {why}" in text
 
 
 @pytest.mark.parametrize(

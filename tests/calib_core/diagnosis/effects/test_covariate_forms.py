@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
-from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, own_effects
+from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, kind_of_column
 from stillcal.calib_core.diagnosis.model.moments import first_order
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow.search import forward
@@ -65,3 +65,13 @@ def test_a_bias_is_found_in_the_form_in_which_it_follows_a_column(form: str) -> 
         assert 0.8 * LAG < shortest < LAG < longest < 1.25 * LAG
     else:
         assert sizes.unit == "rad/s per squared unit of load"
+
+
+@pytest.mark.parametrize("other", ["accel_bias", "accel_scale", "accel_slow_noise", "accel_bias_random_walk"])
+def test_a_column_of_any_name_has_an_effect_that_is_taken_for_no_other(other: str) -> None:
+    """The bias that followed a column `drift` was told as the drift, and `step` as a step at 0 s."""
+    names = {other, *(e.name for e in own_effects())}
+    for word in {name.partition("_")[2] for name in names} | {name.rpartition("_")[2] for name in names}:
+        assert kind_of_column(word) == f"bias_{word}_column"
+        assert kind_of_column(f"CPU {word}") == f"bias_cpu_{word}_column"
+    assert kind_of_column("Battery V") == "bias_battery_v"

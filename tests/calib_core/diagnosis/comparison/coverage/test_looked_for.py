@@ -8,6 +8,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.effects.covariate import kind_of_column
 from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature, follows_time
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.streams.time_series import TimeSeries
@@ -20,7 +21,7 @@ def test_a_column_named_as_another_driver_needs_no_such_driver(column: str) -> N
     xyz = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(0).normal(0.0, 0.01, (t.size, 3))
     samples = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
     exam = examine(samples, None, sought=(), covariates={column: TimeSeries(t, np.sin(t / 100.0))})
-    effect = "accel_bias_" + column.replace(" ", "_")
+    effect = f"accel_{kind_of_column(column)}"
     assert exam.sensors[0].column_means.keys() == {column}
     assert obstacle(exam, effect, "accel") is None
     assert obstacle(exam, "accel_bias_temperature", "accel") == "no temperature"
