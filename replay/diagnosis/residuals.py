@@ -18,8 +18,9 @@ def residuals_csv(exam: Examination) -> str:
     """Return the residuals as CSV: a row for each static bin, or turn between rests, and component.
 
     residual: norm (of gravity), tangent (across it), rate_x, rate_y, rate_z at rest, or turn (what gravity
-    carried through a turn misses). t, duration: s; rest: which one; sd: white noise alone. ideal: the
-    residual of an affine sensor; with_effects: what is left when the effects found are fitted too.
+    carried through a turn misses). t, duration: s, of a turn its angle, rad; rest: which one; sd: white noise
+    alone. ideal: the residual of an affine sensor; with_effects: what is left when the effects found are
+    fitted too.
     """
     lines = [HEADER]
     for residuals in [*exam.sensors, *([] if exam.turns is None else [exam.turns])]:
@@ -50,10 +51,16 @@ def _of_one(residuals: SensorResiduals, found: list[Hypothesis]) -> list[str]:
 
 
 def _left(view: View, block: int, effects: list[Array]) -> Array:
-    """Return a block's residual (n,), the baseline and the effects fitted by least squares taken off."""
-    columns = np.hstack([view.nuisance(block), *effects]) / np.sqrt(view.variance)[:, None]
-    y = view.y[block] / np.sqrt(view.variance)
+    """Return a block's residual (n,), the baseline and the effects fitted by least squares taken off.
+
+    Of what is absorbed something is known: it is fitted as far as that lets it.
+    """
+    sd = np.sqrt(view.variance)
+    columns = np.hstack([view.nuisance(block), *effects]) / sd[:, None]
+    first, known = view.baseline.shape[2], 0 if view.absorbed is None else view.absorbed.shape[1]
+    prior = np.eye(known, columns.shape[1], first)
     # Columns of very different size are scaled, lest small ones count as nothing.
-    size = np.maximum(np.abs(columns).max(axis=0), 1e-300)
-    fitted = (columns / size) @ np.linalg.lstsq(columns / size, y, rcond=None)[0]
-    return np.asarray((y - fitted) * np.sqrt(view.variance))
+    size = np.maximum(np.abs(np.vstack([columns, prior])).max(axis=0), 1e-300)
+    design, target = np.vstack([columns, prior]) / size, np.append(view.y[block] / sd, np.zeros(known))
+    fitted = columns / size @ np.linalg.lstsq(design, target, rcond=None)[0]
+    return np.asarray(view.y[block] - fitted * sd)
