@@ -17,6 +17,12 @@ ROUNDED = float(np.sqrt(12.0))
 FEW = 0.05
 """Part of the changes that may be smaller than the least one that counts."""
 
+OFF = 0.08
+"""Part of a step that gaps between values may be off its multiples, one in twenty excepted."""
+
+BY_CHANCE = 1e-4
+"""Probability of gaps as near to multiples without a grid, one of them being the step."""
+
 HARMONICS = 8
 BENEATH = np.linspace(0.1, 1.0, 91)
 """Noise, in steps, that is told apart by the codes it reaches: less than the first reaches two codes at most,
@@ -47,8 +53,8 @@ def comb_step(values: Array) -> float | None:
     multiples = np.rint(gaps / step)
     small = multiples <= 8
     step = float(gaps[small].sum() / multiples[small].sum())
-    off = np.abs(gaps[small] / step - multiples[small])
-    if float(np.quantile(off, 0.95)) >= 0.08:
+    off = float(np.quantile(np.abs(gaps[small] / step - multiples[small]), 0.95))
+    if off >= OFF or (2.0 * off) ** (np.count_nonzero(small) - 1) > BY_CHANCE:
         return None
     return _refined(distinct, step)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.segments.value_grid import rounding_error
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error
 
 STEP = 0.05
 SAMPLES = 500
@@ -43,3 +43,14 @@ def test_a_few_rests_in_which_the_bias_goes_from_code_to_code_tell_no_noise(apar
 
 def test_no_step_leaves_no_error() -> None:
     assert not rounding_error(*rests(0.3, [0.0, 1.0]), np.zeros(3)).any()
+
+
+@pytest.mark.parametrize("count", [8, 60, 135])
+def test_few_values_lie_on_no_grid_by_chance(count: int) -> None:
+    """A fourth of such draws had a step: a simulation without noise has few values, those of its turns."""
+    drawn = [np.random.default_rng(seed).normal(0.0, 0.5, count) for seed in range(200)]
+    assert sum(comb_step(values) is not None for values in drawn) <= 3
+
+
+def test_few_codes_are_a_grid() -> None:
+    assert comb_step(np.repeat(0.0012 * np.array([3, 4, 5, 7, 12]), 40)) == pytest.approx(0.0012)
