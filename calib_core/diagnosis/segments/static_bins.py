@@ -66,6 +66,10 @@ BRIEFEST_BIN = 4
 PLUG_LATE = 3.0
 """s by which the event of a plug may come after the plug: a phone tells it when its charger has answered."""
 
+LEAST_FORCE, LEAST_RATE = 3e-7, 3e-8
+"""m/s^2 and rad/s, about a millionth of a bias as phones have it: no mean is known better. A simulation
+without any noise would else leave nothing of what is known beforehand, within the precision of floats."""
+
 LOUDER = 0.01
 """Chance of noise as loud as a bin's from where on it is the bin's own, and not that of the others: what it
 leaves out of their mean by mistake lowers that by 3 %."""
@@ -294,12 +298,12 @@ def cut(
         rest=_numbered(rest),
         pose=pose,
         force=_bin_means(force.mean, first, last),
-        force_variance=_white_variances(force.mean, first, last),
+        force_variance=_white_variances(force.mean, first, last, LEAST_FORCE),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
         activity=np.stack([force.t, (~still).astype(np.float64)], axis=1),
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
-        rate_variance=None if rate is None else _white_variances(rate.mean, first, last),
+        rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE),
         temperature=_bin_temperatures(overview.thermometer, span[0], first, last),
         force_rounding=_rounding(accelerometer, force, first, last),
         rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, first, last),
@@ -330,12 +334,12 @@ def cut_all(
         rest=np.zeros(first.size, dtype=np.int64),
         pose=None,
         force=_bin_means(force.mean, first, last),
-        force_variance=_near_variances(force.mean, first, last, moving),
+        force_variance=_near_variances(force.mean, first, last, LEAST_FORCE, moving),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
         activity=np.stack([force.t, np.zeros(force.t.size)], axis=1),
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
-        rate_variance=None if rate is None else _near_variances(rate.mean, first, last, moving),
+        rate_variance=None if rate is None else _near_variances(rate.mean, first, last, LEAST_RATE, moving),
         temperature=_bin_temperatures(_readings(accelerometer), span[0], first, last),
         **_charging(events, span, first, last),
     )
@@ -377,15 +381,18 @@ def in_motion(force: Samples, rate: Samples | None, bins: Bins) -> Array:
     return (_bin_means(moved, np.rint(first), np.rint(last))[:, 0] > 0.0).astype(np.float64)
 
 
-def _near_variances(values: Array, first: Array, last: Array, moving: Array | None = None) -> Array:
+def _near_variances(
+    values: Array, first: Array, last: Array, least: float, moving: Array | None = None
+) -> Array:
     """Variance (n, 3) of bin means, from differences of window means inside bins.
 
     It is the median of a bin and its neighbours, or the bin's own where that is louder by more than chance.
-    Bins that are `moving` (n,) take no part in it, and have what lies between the medians at rest about them.
+    It is at least `least`^2. Bins that are `moving` (n,) take no part in it, and have what lies between the
+    medians at rest about them.
     """
     if moving is not None:
         rest, centre = np.flatnonzero(moving == 0.0), (first + last) / 2.0
-        still = _near_variances(values, first[rest], last[rest])
+        still = _near_variances(values, first[rest], last[rest], least)
         between = [np.interp(centre, centre[rest], axis) for axis in still.T]
         return np.asarray(np.stack(between, axis=1))
     half = np.diff(values, axis=0) ** 2 / 2.0
@@ -397,14 +404,15 @@ def _near_variances(values: Array, first: Array, last: Array, moving: Array | No
     # Chi-squared: where its median is, and what one in twenty exceeds.
     common = np.median(near, axis=0) / _times_exceeded(0.5, freedom)
     variance = np.where(own > _times_exceeded(0.05, freedom) * common, own, common)
-    return np.asarray(np.maximum(variance / (last - first)[:, None], 1e-18))
+    return np.asarray(np.maximum(variance / (last - first)[:, None], least**2))
 
 
-def _white_variances(values: Array, first: Array, last: Array) -> Array:
+def _white_variances(values: Array, first: Array, last: Array, least: float) -> Array:
     """Variance (n, 3) of bin means, from differences of window means inside bins, shrunk to what they share.
 
     A bin that is louder than that by more than chance has its own: what shakes it does not shake the others.
-    Where most bins show no noise at all, for coarse steps, nothing tells which are louder.
+    Where most bins show no noise at all, for coarse steps, nothing tells which are louder. It is at least
+    `least`^2.
     """
     half = np.diff(values, axis=0) ** 2 / 2.0
     own = _bin_means(half, first, last - 1.0)
@@ -416,7 +424,7 @@ def _white_variances(values: Array, first: Array, last: Array) -> Array:
     weight = np.where(loud, 0.0, count)
     pooled = (own * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
     shrunk = (own * count + pooled * POOLED_WEIGHT) / (count + POOLED_WEIGHT)
-    return np.asarray(np.maximum(np.where(loud, own, shrunk) / (last - first)[:, None], 1e-18))
+    return np.asarray(np.maximum(np.where(loud, own, shrunk) / (last - first)[:, None], least**2))
 
 
 def _times_exceeded(chance: float, freedom: Array | float) -> Array:

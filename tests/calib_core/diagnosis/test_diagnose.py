@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import HARDLY, checks_of
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
 from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
@@ -95,3 +96,18 @@ def test_an_axis_that_never_changes_breaks_nothing() -> None:
     exam = examine(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 50.0, force), None)
     reasons = {(c.effect, c.sensor): c.reason for c in checks_of(exam, sought(exam))}
     assert reasons["accel_nonlinearity", "accel"] == "1 attitude at rest, 6 are needed"
+
+
+@pytest.mark.parametrize("attitudes", [1, 8])
+def test_a_simulation_without_noise_breaks_nothing(attitudes: int) -> None:
+    """Eight attitudes ended in a singular matrix: beside such precision nothing of the priors was left."""
+    rng, each = np.random.default_rng(9), 12000 // attitudes
+    up = rng.normal(size=(attitudes, 3))
+    force = np.repeat(9.81 * up / np.linalg.norm(up, axis=1, keepdims=True), each, axis=0)
+    t, bias = np.arange(len(force)) / 5.0, np.array([0.1, 0.0, -0.05])
+    ideal = examine(Samples.checked(Sensor.ACCELEROMETER, t, np.round(force, 6)), None)
+    assert ideal.statements == []
+    if attitudes > 1:
+        noisy = Samples.checked(Sensor.ACCELEROMETER, t, force + bias + rng.normal(0, 0.02, force.shape))
+        found = compare(examine(noisy, None), ideal, ("rec", "sim"))
+        assert [(d.effect, d.relation) for d in found.discrepancies] == [("accel_bias", "lacking")]
