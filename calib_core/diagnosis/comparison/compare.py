@@ -36,7 +36,6 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
     Key,
     Quantity,
-    subtract,
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
@@ -171,7 +170,7 @@ def _paired(
         one, other = (side.get(key) for side in sides)
         reason = why_not_compared(key, (one, other), exams, names, wanted)
         if reason is None and one is not None and other is not None:
-            pairs.append(subtract(one, other))
+            pairs.append(noise.difference_of(one, other))
         else:
             missing.append(NotCompared(*key, reason or "neither of the two shows it"))
     return pairs, missing

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, Part, Quantity, Relation
+from stillcal.calib_core.diagnosis.comparison.quantity import (
+    Difference,
+    Key,
+    Part,
+    Quantity,
+    Relation,
+    subtract,
+)
 from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import joint, log_terms, reduce_residuals
@@ -75,6 +82,33 @@ ALIKE_RATE = 2e-3
 
 PIECES = 40
 LEAST_RATE_ERROR = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlowNoise(Quantity):
+    """Slow noise as one recording shows it. white: (k,) what white noise makes of its variance."""
+
+    white: Array = field(default_factory=lambda: np.zeros(0))
+
+    def beside(self, other: SlowNoise) -> SlowNoise:
+        """Return it as it would be with as much white noise as another recording has, if that has more."""
+        own = np.exp(2.0 * self.value)
+        all_of_it = own + np.maximum(other.white - self.white, 0.0)
+        part = own / all_of_it
+        return replace(self, value=0.5 * np.log(all_of_it), covariance=self.covariance * np.outer(part, part))
+
+
+def difference_of(recorded: Quantity, simulated: Quantity) -> Difference:
+    """Return the difference of one quantity in two recordings.
+
+    That of slow noise is judged beside the larger of their white noises, of which it is a part: a simulation
+    without any noise lacks the white noise alone, if the recording has no more.
+    """
+    own = subtract(recorded, simulated)
+    if not isinstance(recorded, SlowNoise) or not isinstance(simulated, SlowNoise):
+        return own
+    fair = subtract(recorded.beside(simulated), simulated.beside(recorded))
+    return replace(own, log_bayes_factor=fair.log_bayes_factor, of_usual_size=fair.of_usual_size)
 
 
 def density(stream: Stream) -> Quantity | None:
@@ -285,7 +319,7 @@ def hidden_by_motion(residuals: SensorResiduals, levels: Levels | None = None) -
 
 def slow_noise(
     exam: Examination, residuals: SensorResiduals, asked: Sequence[Hypothesis] = ()
-) -> Quantity | None:
+) -> SlowNoise | None:
     """Return the Allan deviation of the bias at `AVERAGED`, logarithms; None without rests that long.
 
     None as well where something hides it (`why_no_slow_noise`).
@@ -298,11 +332,12 @@ def slow_noise(
     explained = _found(exam, residuals)
     own = {h.effect.name for h in explained}
     explained += [h for h in asked if h.effect.name not in own]
+    views = [view for view in residuals.views if view.name != "tangent"]
     shown = _deviations(residuals, explained)
-    if len(shown) < sum(view.name != "tangent" for view in residuals.views):
+    if len(shown) < len(views):
         return None
     value, error = np.array(shown).T
-    return Quantity(
+    return SlowNoise(
         f"{residuals.sensor}_slow_noise",
         residuals.sensor,
         (Part("allan_deviation_100s", UNIT[residuals.sensor], value.size),),
@@ -314,6 +349,7 @@ def slow_noise(
         logarithmic=True,
         reference={"averaging_s": AVERAGED},
         where=Where(*residuals.bins.span, (0.0, 1.0 / AVERAGED), "nothing"),
+        white=np.array([_white(view) for view in views]),
     )
 
 
@@ -337,13 +373,17 @@ def _deviation(view: View, sums: Reduced, weight: Array) -> tuple[float, float] 
     pairs = _pairs(view)
     if pairs is None:
         return None
-    white = float(np.median(view.variance * view.duration)) / AVERAGED
     moved = float(np.mean(view.rest[pairs[0]] != view.rest[pairs[1]]))
-    variances = [white + family.allan + moved * family.jump for family in families(view)]
+    variances = [_white(view) + family.allan + moved * family.jump for family in families(view)]
     scale = (sums.known + sums.left) / max(sums.dof - 2.0, 1.0)
     logs = 0.5 * np.log(np.concatenate(variances) * scale)
     middle = float(weight @ logs)
     return middle, float(np.hypot(np.sqrt(weight @ (logs - middle) ** 2), LEAST_SPREAD))
+
+
+def _white(view: View) -> float:
+    """Return the variance of a mean over `AVERAGED` by white noise alone."""
+    return float(np.median(view.variance * view.duration)) / AVERAGED
 
 
 def _pairs(view: View) -> Pairs | None:

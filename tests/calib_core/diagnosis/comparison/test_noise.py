@@ -11,15 +11,19 @@ from scipy.signal import lfilter
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import _is_motion
 from stillcal.calib_core.diagnosis.comparison.noise import (
+    SlowNoise,
     density,
+    difference_of,
     slow_noise,
     why_no_density,
     why_no_slow_noise,
 )
+from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
 from stillcal.calib_core.diagnosis.model.moments import Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -61,6 +65,29 @@ def test_slow_noise_is_the_allan_deviation_of_averages_over_100_s() -> None:
     slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
     assert slow is not None
     assert np.exp(slow.value).mean() == pytest.approx(floor, rel=0.25)
+
+
+def resting(white: float, wander: float, seed: int) -> SlowNoise:
+    """Return a gyroscope's slow noise. white: rad/s a sample; wander: rad/s of a random walk in 100 s."""
+    rng, t = np.random.default_rng(seed), np.arange(12000) / 5.0
+    still = np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(t.size, 3))
+    walk = np.cumsum(rng.normal(0.0, wander / np.sqrt(500.0), (t.size, 3)), axis=0)
+    rates = walk + white * rng.normal(size=(t.size, 3))
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, still), Samples(Sensor.GYROSCOPE, t, rates), sought=())
+    slow = slow_noise(exam, next(s for s in exam.sensors if s.sensor == "gyro"))
+    assert slow is not None
+    return slow
+
+
+@pytest.mark.parametrize("simulated", [(0.0, 0.0), (1e-4, 0.0), (1e-2, 0.0)])
+def test_what_is_louder_by_its_white_noise_alone_has_no_more_slow_noise(
+    simulated: tuple[float, float],
+) -> None:
+    """A simulation without any noise was said to lack slow noise of 6 deg/h, the recording's white noise."""
+    one = difference_of(resting(1e-3, 0.0, 1), resting(*simulated, 2))
+    assert posterior(one.log_bayes_factor, 30) < 0.5
+    other = difference_of(resting(1e-3, 0.0, 1), resting(simulated[0], 5e-3, 2))
+    assert posterior(other.log_bayes_factor, 30) > CERTAIN and (other.value < 0.0).all()
 
 
 def test_what_steps_larger_than_the_noise_leave_in_means_is_no_slow_noise() -> None:
