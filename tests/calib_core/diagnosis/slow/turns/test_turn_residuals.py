@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import (
     WAVES,
+    _unforeseen,
     _waves,
     known_variances,
     turn_residuals,
@@ -277,6 +278,31 @@ def test_a_little_wander_leaves_all_turns_in(seed: int) -> None:
     still, wandering = (turn_residuals(replace(made, unsteady=Unsteady(w)), bins, G) for w in (0.0, 2e-4))
     assert still is not None and wandering is not None
     assert len(wandering.turns) == len(still.turns)
+
+
+@pytest.mark.parametrize("jolts", [(), (0.3,), (0.3, 0.05)])
+def test_turns_that_miss_by_far_more_than_the_others_are_left_out(jolts: tuple[float, ...]) -> None:
+    """The second shows where the first is out."""
+    force, spin, _ = day(3, 24)
+    bins = cut(force, spin)
+    made = aligned(spin, bins, G)
+    turns = list(made.turns)
+    for k, jolt in enumerate(jolts, start=4):
+        turns[k] = replace(turns[k], miss=turns[k].miss + jolt * turns[k].across()[0])
+    whole, left = (turn_residuals(replace(made, turns=t), bins, G) for t in (made.turns, turns))
+    assert whole is not None and left is not None
+    assert [t.first for t in left.turns] == [
+        t.first for t in whole.turns if t.first not in {turns[k].first for k in range(4, 4 + len(jolts))}
+    ]
+    assert len(whole.turns) == len(made.turns)
+
+
+def test_what_a_turn_is_off_by_knows_no_scale_and_no_misalignment() -> None:
+    force, spin, _ = day(3, 24)
+    bins = cut(force, spin)
+    view = turn_view(aligned(spin, bins, G), bins)
+    scaled = replace(view, y=view.y + view.baseline @ np.linspace(-0.02, 0.02, 9))
+    np.testing.assert_allclose(_unforeseen(scaled), _unforeseen(view), atol=1e-6)
 
 
 def test_what_happens_between_samples_is_no_nonlinearity() -> None:

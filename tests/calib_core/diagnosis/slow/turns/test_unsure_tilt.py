@@ -69,6 +69,16 @@ def test_what_is_unsure_of_a_named_error_tilts_and_its_size_does_not() -> None:
     assert unsure_tilt([told], STANDARD) == pytest.approx(expected, rel=0.05)
 
 
+def test_of_a_named_error_with_an_amplitude_only_what_is_unsure_tilts() -> None:
+    exam = examined(recorded(phone_with(), 3), sought=())
+    residuals = next(s for s in exam.sensors if s.sensor == "accel")
+    settling = next(e for e in effects_of("accel") if e.name == "accel_warmup")
+    own = residuals.hypotheses(settling)[0]
+    amplitude = Parameter([0.5, 0.0, 0.0], [[0.5 - 1.96e-3, 0.5 + 1.96e-3], [0.0, 0.0], [0.0, 0.0]], "m/s^2")
+    told = Stated(finding(settling.name, "accel", {"amplitude": amplitude}, SLOW_BAND), own, residuals)
+    assert 0.0 < unsure_tilt([told], STANDARD) < np.sqrt(2.0) * 1e-3 / STANDARD
+
+
 def test_a_nameless_gain_tilts_by_what_it_adds_at_rest() -> None:
     """1000 ppm/K of the next axis' force, in a day that warms: a gyroscope's scale seemed to follow it."""
     exam = examined(recorded(phone_with(), 3), sought=())
