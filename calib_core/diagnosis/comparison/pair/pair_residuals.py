@@ -32,6 +32,10 @@ from stillcal.calib_core.streams.samples import Samples
 GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
 """Prior size of what one sensor reads of the other's input: scale on the diagonal, misalignment beside it."""
 
+EXACTLY = 1e6
+"""Degrees of freedom with which the noise of coarse steps is known: their size is known, and that all bins of
+a rest read one code does not make it smaller."""
+
 
 def pair_residuals(
     difference: Readings,
@@ -85,7 +89,8 @@ def pair_residuals(
         single = error**2 / count[:, None]
         views = _views(left, mean, np.maximum(variance, single) + shaken, inputs, judged)
         views = tuple(
-            replace(v, shared=_of_steps(sensor, moving, e)) for v, e in zip(views, error, strict=True)
+            replace(v, shared=_of_steps(sensor, moving, e), known=EXACTLY if e > 0.0 else v.known)
+            for v, e in zip(views, error, strict=True)
         )
         return SensorResiduals(sensor, bins, views, STANDARD, up, force_powers=powers)
 
@@ -116,13 +121,15 @@ def _of_steps(sensor: str, moving: Array, error: float) -> tuple[Array, ...]:
     moving: (n,) 0 at rest; error: sd that steps leave in the mean of a rest. Each rest has one, for its
     attitude makes it. A bin in which the device moves has one of its own: how much of it the motion dithers
     is not known. A gyroscope reads its bias in all rests, and whenever it moves little: all bins share one.
+    An accelerometer's bin in motion has parts of what the rests before and after it have, which are two.
     """
     if error <= 0.0:
         return ()
     moves = moving > 0.0
     rest = np.cumsum(moves | np.append(True, moves[:-1]))
-    own = of_groups(rest, np.full(moves.size, error))
-    return (own, np.full((moves.size, 1), error)) if sensor == "gyro" else (own,)
+    if sensor == "accel":
+        return (of_groups(rest, np.where(moves, np.sqrt(2.0), 1.0) * error),)
+    return of_groups(rest, np.full(moves.size, error)), np.full((moves.size, 1), error)
 
 
 def _views(
