@@ -33,8 +33,8 @@ GAIN_SIZES = MISALIGNMENT_SIZE + (SCALE_SIZE - MISALIGNMENT_SIZE) * np.eye(3)
 """Prior size of what one sensor reads of the other's input: scale on the diagonal, misalignment beside it."""
 
 EXACTLY = 1e6
-"""Degrees of freedom with which the noise of coarse steps is known: their size is known, and that all bins of
-a rest read one code does not make it smaller."""
+"""Degrees of freedom with which an accelerometer's noise of coarse steps is known: the steps are, and that
+all bins of a rest read one code does not make them smaller. What motion dithers of a gyroscope is learnt."""
 
 
 def pair_residuals(
@@ -89,7 +89,11 @@ def pair_residuals(
         single = error**2 / count[:, None]
         views = _views(left, mean, np.maximum(variance, single) + shaken, inputs, judged)
         views = tuple(
-            replace(v, shared=_of_steps(sensor, moving, e), known=EXACTLY if e > 0.0 else v.known)
+            replace(
+                v,
+                shared=_of_steps(sensor, moving, e),
+                known=EXACTLY if sensor == "accel" and e > 0.0 else v.known,
+            )
             for v, e in zip(views, error, strict=True)
         )
         return SensorResiduals(sensor, bins, views, STANDARD, up, force_powers=powers)

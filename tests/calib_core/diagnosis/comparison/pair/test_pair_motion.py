@@ -11,7 +11,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.measured import _constants
 from stillcal.calib_core.diagnosis.comparison.pair.motion import Motion, left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import _of_steps, pair_residuals
-from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis
+from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothesis
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.replay.diagnosis.judged import examined
@@ -183,6 +183,13 @@ def test_all_bins_of_a_gyroscope_share_an_error_of_steps_besides() -> None:
     assert _of_steps("gyro", moving, 0.0) == ()
 
 
+def _of_constants(residuals: SensorResiduals) -> tuple[Fit, Array]:
+    """Return the fit of biases and gains, and the sizes of its unit."""
+    views = tuple(replace(v, absorbed=None, baseline=v.baseline[:, :, :0]) for v in residuals.views)
+    constants = _constants(residuals)
+    return fit_hypothesis(reduce_residuals(replace(residuals, views=views), [constants]), 0), constants.sizes
+
+
 @pytest.mark.parametrize("step", [0.15, 0.3, 0.45])
 def test_scales_in_steps_that_hide_the_noise_are_off_by_their_errors(step: float) -> None:
     """They were by 1.3 to 1.7: steps that leave nothing within rests were taken for smaller ones."""
@@ -192,11 +199,25 @@ def test_scales_in_steps_that_hide_the_noise_are_off_by_their_errors(step: float
         other = in_steps(turned(101, motion=motion), step)
         true, rounded = mean_readings(one, [other]), {"accel": np.full(3, step / np.sqrt(6.0))}
         (accel, _) = pair_residuals(less(one, true), true, [], 0.0, rounding=rounded)[1]
-        free = replace(
-            accel, views=tuple(replace(v, absorbed=None, baseline=v.baseline[:, :, :0]) for v in accel.views)
-        )
-        constants = _constants(accel)
-        fit = fit_hypothesis(reduce_residuals(free, [constants]), 0)
-        away = fit.beta * constants.sizes - np.append(np.zeros(3), 0.01 * np.eye(3))
-        off.append(away / (np.sqrt(fit.covariance.diagonal()) * constants.sizes))
+        fit, sizes = _of_constants(accel)
+        away = fit.beta * sizes - np.append(np.zeros(3), 0.01 * np.eye(3))
+        off.append(away / (np.sqrt(fit.covariance.diagonal()) * sizes))
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.15
+
+
+def test_a_gyroscopes_scale_shows_in_spite_of_steps_that_motion_dithers() -> None:
+    """Were the error of its steps known as the accelerometer's is, 2 % would be lost in it."""
+
+    def in_steps_of_rate(recording: Recording) -> Recording:
+        assert recording.gyroscope is not None
+        xyz = frozen(0.02 * np.rint(recording.gyroscope.xyz / 0.02))
+        return replace(recording, gyroscope=replace(recording.gyroscope, xyz=xyz))
+
+    scaled = turned(1, lambda force, rate: (force, 1.02 * rate))
+    both = [in_steps_of_rate(r) for r in (scaled, turned(101))]
+    true, rounded = mean_readings(both[0], both[1:]), {"gyro": np.full(3, 0.02 / np.sqrt(6.0))}
+    (_, gyro) = pair_residuals(less(both[0], true), true, [], 0.0, rounding=rounded)[1]
+    fit, sizes = _of_constants(gyro)
+    errors = np.sqrt(fit.covariance.diagonal()) * sizes
+    gains, errors = (fit.beta * sizes)[[3, 7, 11]], errors[[3, 7, 11]]
+    assert ((gains / errors) ** 2).sum() > 16.3, "chance exceeds it once in 1000"
