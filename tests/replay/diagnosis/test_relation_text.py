@@ -21,7 +21,12 @@ from stillcal.calib_core.diagnosis.model.records import (
 )
 from stillcal.replay.diagnosis.answer import _finding
 from stillcal.replay.diagnosis.words.names import BUILT_IN
-from stillcal.replay.diagnosis.words.relation_text import statement, told_of_sensor, with_interval
+from stillcal.replay.diagnosis.words.relation_text import (
+    shown_of,
+    statement,
+    told_of_sensor,
+    with_interval,
+)
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
@@ -372,6 +377,21 @@ def test_one_number_for_all_axes_is_said_once_and_a_lopsided_interval_by_its_end
     low: float, high: float, shown: list[int], says: str
 ) -> None:
     assert with_interval("size", {"value": [1.0] * 3, "ci95": [[low, high]] * 3, "unit": "s"}, shown) == says
+
+
+@pytest.mark.parametrize("interval", [{}, {"ci95": [[1.0, 1.0]] * 3}])
+def test_a_number_without_an_interval_is_said_alone(interval: dict[str, Any]) -> None:
+    assert with_interval("size", {"value": [1.0] * 3, "unit": "s", **interval}, [1]) == "y 1.00 s"
+
+
+def test_elements_of_a_matrix_are_shown_that_are_beyond_their_errors() -> None:
+    """An error is half of a 95 % interval over 1.96; 2.6 of them are enough."""
+    values, errors = np.arange(1.0, 10.0), np.full(9, 4.5 / 2.6)
+    ends = np.stack([values - 1.96 * errors, values + 1.96 * errors], axis=1)
+    matrix = {"value": values.tolist(), "ci95": ends.tolist(), "unit": "1"}
+    assert shown_of({"parameters": {"matrix": matrix}}, "matrix", []) == [6, 7, 8]
+    few = {"value": [0.0, 0.0, 1.0, 5.0, 6.0, 0.0, 0.0, 0.0, 0.0], "ci95": ends.tolist(), "unit": "1"}
+    assert shown_of({"parameters": {"matrix": few}}, "matrix", []) == [3, 4]
 
 
 def test_numbers_that_differ_between_axes_are_given_for_each() -> None:
