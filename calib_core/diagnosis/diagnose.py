@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
+from stillcal.calib_core.diagnosis.segments.noiseless import audible
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
@@ -101,7 +102,7 @@ def examine(
     most of the time. A simulation that was made with known ones needs only to be measured. overview: every
     second of the recording, where the samples are only some of it; None where they are all.
     delivered_twice: samples that came twice and are here once. progress: is called with the share of the
-    work that is done.
+    work that is done. A sensor without any noise is judged with that of a quiet one (`audible`).
     """
     refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
@@ -109,8 +110,9 @@ def examine(
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     seconds = overview or overview_of(accelerometer, gyroscope)
+    accelerometer, gyroscope, seconds, silent = audible(accelerometer, gyroscope, seconds)
     bins = still_bins(accelerometer, gyroscope, events, seconds)
-    made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled)
+    made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled, silent=silent)
     progress(MEASURED)
     made = _with_slow(made, covariates, without, sought, progress)
     made = _with_motion(made, without, sound, in_turns=sought is None)
@@ -126,11 +128,12 @@ def _of_samples(
     *,
     sound: SoundPhones,
     doubled: Finding | None,
+    silent: frozenset[str],
 ) -> Examination:
     """Return an examination with what single samples show, and the bins that slow effects are judged on.
 
-    bins: all that are still; doubled: the finding of samples that came twice; the others are those of
-    `examine`.
+    bins: all that are still; doubled: the finding of samples that came twice; silent: the sensors without
+    noise of their own, whose level is none; the others are those of `examine`.
     """
     sensors = [(s, x) for s, x in (("accel", accelerometer), ("gyro", gyroscope)) if x]
     spoiled = [f for s, x in sensors if (f := stuck(x, s))]
@@ -140,11 +143,12 @@ def _of_samples(
     spoiled += [exchanged] if exchanged else []
     clear = outside_of(bins, spoiled)
     streams = [Stream.of(s, x, clear) for s, x in sensors]
+    streams = [replace(s, levels=None) if s.sensor in silent else s for s in streams]
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
-    silent = [f for s, x in sensors if (f := dead(x, s))]
+    flat = [f for s, x in sensors if (f := dead(x, s))]
     whole = [f for f in (doubled, turned) if f]
-    found = [*spoiled, *silent, *whole, *beside_names(nameless, named)]
+    found = [*spoiled, *flat, *whole, *beside_names(nameless, named)]
     return Examination(
         accelerometer,
         gyroscope,
@@ -157,6 +161,7 @@ def _of_samples(
         statements=[Stated(f) for f in found],
         exchanged=next((f.sensor for f in (exchanged, turned) if f), ""),
         other_axes=turned,
+        silent=silent,
         spoiled=[(f.where.t_start, f.where.t_end) for f in spoiled],
     )
 

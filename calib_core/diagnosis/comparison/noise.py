@@ -111,20 +111,20 @@ def difference_of(recorded: Quantity, simulated: Quantity) -> Difference:
     return replace(own, log_bayes_factor=fair.log_bayes_factor, of_usual_size=fair.of_usual_size)
 
 
-def density(stream: Stream) -> Quantity | None:
-    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown."""
-    if stream.levels is None:
+def density(stream: Stream, *, silent: bool = False) -> Quantity | None:
+    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown.
+
+    silent: whether there is none.
+    """
+    if not silent and (stream.levels is None or not stream.levels.own):
         return None
-    values = stream.levels.values()
-    silent = float(values.max()) < SILENT
-    if not (stream.levels.own or silent):
-        return None
-    errors = np.full(3, LEAST_SPREAD) if silent else stream.levels.errors()
+    values = np.full(3, SILENT) if stream.levels is None else stream.levels.values()
+    errors = np.full(3, LEAST_SPREAD) if stream.levels is None else stream.levels.errors()
     return Quantity(
         LEVEL,
         stream.sensor,
         (Part("density", f"{UNIT[stream.sensor]}/sqrt(Hz)", 3),),
-        np.log(np.maximum(values, SILENT)),
+        np.log(values),
         np.diag(errors**2),
         np.full(3, TIMES),
         np.full(3, ALIKE_DENSITY),
@@ -137,7 +137,7 @@ def density(stream: Stream) -> Quantity | None:
 
 def densities(exam: Examination) -> dict[Key, Quantity]:
     """Return the white noise of each sensor that shows it, by effect and sensor."""
-    shown = (density(stream) for stream in exam.streams)
+    shown = (density(stream, silent=stream.sensor in exam.silent) for stream in exam.streams)
     return {(level.effect, level.sensor): level for level in shown if level is not None}
 
 

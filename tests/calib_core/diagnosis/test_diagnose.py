@@ -9,6 +9,7 @@ import pytest
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import HARDLY, checks_of
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
+from stillcal.calib_core.diagnosis.comparison.noise import densities
 from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported
@@ -96,6 +97,18 @@ def test_an_axis_that_never_changes_breaks_nothing() -> None:
     exam = examine(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 50.0, force), None)
     reasons = {(c.effect, c.sensor): c.reason for c in checks_of(exam, sought(exam))}
     assert reasons["accel_nonlinearity", "accel"] == "1 attitude at rest, 6 are needed"
+
+
+def test_what_a_simulation_without_noise_has_is_found() -> None:
+    """It ended in a traceback, and a settling was told as something that no name explains."""
+    t = np.arange(30000) / 25.0
+    warm = 25.0 + 8.0 * np.sin(t / 180.0)
+    force = np.array([0.3, 0.2, 9.8]) + np.outer(np.exp(-t / 150.0), [0.2, 0.05, 0.1])
+    rate = np.outer(warm - 25.0, [5e-4, 1e-3, -3e-4])
+    accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, np.round(force, 6), warm)
+    exam = examine(accelerometer, Samples.checked(Sensor.GYROSCOPE, t, np.round(rate, 7)))
+    assert {s.finding.effect for s in exam.statements} == {"accel_warmup", "gyro_bias_temperature"}
+    assert all(level.none for level in densities(exam).values()) and len(densities(exam)) == 2
 
 
 @pytest.mark.parametrize("attitudes", [1, 8])

@@ -1,0 +1,74 @@
+"""A sensor without any noise is judged with that of a quiet one; any other is left as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments.noiseless import FAINT, QUIETEST, with_noise
+from stillcal.calib_core.diagnosis.segments.windows import windows
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+RATE = 50.0
+SD = QUIETEST[Sensor.ACCELEROMETER] * np.sqrt(RATE / 2.0)
+"""m/s^2 of a sample."""
+
+
+def samples(xyz: Array) -> Samples:
+    return Samples.checked(Sensor.ACCELEROMETER, np.arange(len(xyz)) / RATE, xyz)
+
+
+def turned(noise: float = 0.0, slope: float = 0.0) -> Array:
+    """Return an axis that is turned now and then, for 60 s, and two that are not, (3000, 3)."""
+    t = np.arange(3000) / RATE
+    move = 4.0 * np.sin(2.0 * np.pi * t) * (t % 20.0 < 3.0)
+    still = np.array([0.3, 0.0, 9.8]) + np.outer(slope * t, [0.0, 1.0, 0.0])
+    return np.asarray(
+        still + np.outer(move, [1.0, 0.0, 0.0]) + noise * np.random.default_rng(1).normal(size=(3000, 3))
+    )
+
+
+def with_its_noise(xyz: Array) -> Array | None:
+    one = samples(xyz)
+    made = with_noise(one, windows(one, 0.0, 60.0))
+    return None if made is None else np.asarray(made[0].xyz)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_a_sensor_without_noise_gets_that_of_a_quiet_one_where_it_moves(slope: float) -> None:
+    """Also where its bias drifts: by 0.02 m/s^2 a second, which is as much as its noise within one."""
+    xyz = turned(slope=slope)
+    made = with_its_noise(xyz)
+    assert made is not None
+    sd = (made - xyz).std(axis=0)
+    assert sd[0] == pytest.approx(SD, rel=0.05) and sd[2] == 0.0, "an axis that never changes stays dead"
+    assert (sd[1] > 0.0) == (slope > 0.0)
+    assert (with_its_noise(xyz) == made).all()
+
+
+def test_the_seconds_get_as_much() -> None:
+    one = samples(turned())
+    seen = windows(one, 0.0, 60.0)
+    made = with_noise(one, seen)
+    assert made is not None
+    assert (made[1].mean - seen.mean)[:, 0].std() == pytest.approx(SD / np.sqrt(RATE), rel=0.3)
+    np.testing.assert_allclose(made[1].variance[:, 0] - seen.variance[:, 0], SD**2, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "xyz",
+    [
+        turned(noise=3.0 * FAINT * SD),
+        np.round(turned(noise=0.001) / 0.04) * 0.04,
+        np.repeat(turned(noise=SD)[::4], 4, axis=0),
+        np.full((3000, 3), 9.8),
+    ],
+    ids=["noise", "steps", "held", "dead"],
+)
+def test_one_with_noise_or_steps_or_no_change_is_left_as_it_is(xyz: Array) -> None:
+    assert with_its_noise(xyz) is None
+
+
+def test_printed_decimals_are_no_steps_that_hide_noise() -> None:
+    assert with_its_noise(np.round(turned(), 4)) is not None
