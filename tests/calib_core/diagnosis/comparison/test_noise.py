@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -67,6 +68,7 @@ def test_slow_noise_is_the_allan_deviation_of_averages_over_100_s() -> None:
     assert np.exp(slow.value).mean() == pytest.approx(floor, rel=0.25)
 
 
+@cache
 def resting(white: float, wander: float, seed: int) -> SlowNoise:
     """Return a gyroscope's slow noise. white: rad/s a sample; wander: rad/s of a random walk in 100 s."""
     rng, t = np.random.default_rng(seed), np.arange(12000) / 5.0
