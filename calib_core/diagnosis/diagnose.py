@@ -143,7 +143,7 @@ def _of_samples(
     spoiled += [exchanged] if exchanged else []
     clear = outside_of(bins, spoiled)
     streams = [Stream.of(s, x, clear) for s, x in sensors]
-    streams = [replace(s, levels=None) if s.sensor in silent else s for s in streams]
+    streams = [replace(s, levels=None, silent=True) if s.sensor in silent else s for s in streams]
     nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
     flat = [f for s, x in sensors if (f := dead(x, s))]
@@ -161,7 +161,6 @@ def _of_samples(
         statements=[Stated(f) for f in found],
         exchanged=next((f.sensor for f in (exchanged, turned) if f), ""),
         other_axes=turned,
-        silent=silent,
         spoiled=[(f.where.t_start, f.where.t_end) for f in spoiled],
     )
 

@@ -31,7 +31,6 @@ class Examination:
     exchanged: the sensor whose axes were exchanged; if for a while, nothing slow of it is searched for.
     other_axes: the finding where they are exchanged throughout.
     spoiled: when readings are no measurement, as while a sensor is stuck.
-    silent: the sensors without any noise, to which that of a real one was added.
     delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
     why_no_delay: the reason then, "" where motion is too little to look for it.
     memo: what was worked out of it once, by name.
@@ -50,7 +49,6 @@ class Examination:
     exchanged: str = ""
     other_axes: Finding | None = None
     spoiled: Sequence[Span] = ()
-    silent: frozenset[str] = frozenset()
     delay: Measured | None = None
     why_no_delay: str = ""
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)

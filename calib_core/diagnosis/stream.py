@@ -54,7 +54,8 @@ class Stream:
 
     calm: the samples without single outliers, which lines, levels and steps are read from; lines: the
     vibrations found, which are taken off what the rests show of noise (`still`); period: a slower one, not
-    looked for where the lines were known; raw: the same rests with the outliers.
+    looked for where the lines were known; raw: the same rests with the outliers; silent: whether its noise is
+    not its own, but was added to a sensor without any (then there are no levels).
     """
 
     sensor: str
@@ -68,6 +69,7 @@ class Stream:
     steps: Steps
     spectra: Spectra | None
     levels: noise.Levels | None
+    silent: bool = False
 
     @classmethod
     def of(cls, sensor: str, samples: Samples, bins: Bins, lines: list[Finding] | None = None) -> Stream:

@@ -89,7 +89,10 @@ def stamp_quantities(exam: Examination, period: float = 0.0) -> dict[Key, Quanti
 
 
 def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple[Measured, Quantity]]:
-    """Return the same, each with the number on the scale of the populations of sound phones."""
+    """Return the same, each with the number on the scale of the populations of sound phones.
+
+    A sensor without any noise repeats its values at rest, whether it holds samples or not.
+    """
     samples = exam.accelerometer
     out = {}
     for effect, measured in quantities.of_stamps(samples, period).items():
@@ -102,7 +105,7 @@ def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple
             share = _linear(measured, floor, 1.0)
             quantity = _logarithm(key, Part("fraction", "1", 1), share, LEAST_SHARE, samples)
         out[key] = measured, quantity
-    for stream in exam.streams:
+    for stream in (s for s in exam.streams if not s.silent):
         for effect, measured in quantities.of_values(stream.samples).items():
             key, share = (effect, stream.sensor), _linear(measured, LEAST_HELD, 1.0)
             part = Part("fraction", "1", 1)

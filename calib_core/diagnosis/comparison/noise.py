@@ -61,6 +61,7 @@ MOVED, SHAKEN = 4.0, 100.0
 """How many times the variance of its bin a mean has where what it lies on moves, and how many times that of
 the sensor's own white noise: no wander is ten times as loud within 2 s."""
 
+NONE_AT_ALL = "it has no noise at all"
 BLURRED = "its values come in steps larger than the noise"
 REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
 OF_NO_NAME = "what has no name is most of it, and its form is known to a tenth"
@@ -111,12 +112,9 @@ def difference_of(recorded: Quantity, simulated: Quantity) -> Difference:
     return replace(own, log_bayes_factor=fair.log_bayes_factor, of_usual_size=fair.of_usual_size)
 
 
-def density(stream: Stream, *, silent: bool = False) -> Quantity | None:
-    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown.
-
-    silent: whether there is none.
-    """
-    if not silent and (stream.levels is None or not stream.levels.own):
+def density(stream: Stream) -> Quantity | None:
+    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown."""
+    if not stream.silent and (stream.levels is None or not stream.levels.own):
         return None
     values = np.full(3, SILENT) if stream.levels is None else stream.levels.values()
     errors = np.full(3, LEAST_SPREAD) if stream.levels is None else stream.levels.errors()
@@ -131,13 +129,13 @@ def density(stream: Stream, *, silent: bool = False) -> Quantity | None:
         np.arange(3),
         logarithmic=True,
         where=Where(*_span(stream.samples), (0.0, stream.still.rate / 2.0), "noise at rest"),
-        none=silent,
+        none=stream.silent,
     )
 
 
 def densities(exam: Examination) -> dict[Key, Quantity]:
     """Return the white noise of each sensor that shows it, by effect and sensor."""
-    shown = (density(stream, silent=stream.sensor in exam.silent) for stream in exam.streams)
+    shown = (density(stream) for stream in exam.streams)
     return {(level.effect, level.sensor): level for level in shown if level is not None}
 
 
@@ -259,6 +257,8 @@ def why_not_measured(effect: str, stream: Stream) -> str:
 
 def why_no_density(stream: Stream) -> str:
     """Say why a stream's white noise is not shown."""
+    if stream.silent:
+        return NONE_AT_ALL
     if stream.repeats_many:
         return REPEATED
     if stream.levels is not None and not stream.levels.white:

@@ -111,6 +111,18 @@ def test_what_a_simulation_without_noise_has_is_found() -> None:
     assert all(level.none for level in densities(exam).values()) and len(densities(exam)) == 2
 
 
+def test_of_a_simulation_without_noise_it_is_said_why_it_shows_no_tails_and_no_repeats() -> None:
+    """Its values repeat at rest, held or not, and it was said to lack the repeats of the recording."""
+    t, rng = np.arange(6000) / 10.0, np.random.default_rng(4)
+    force = np.array([0.3, 0.2, 9.8]) + np.outer(np.maximum(np.sin(t / 9.0) - 0.9, 0.0), [5.0, 1.0, 2.0])
+    held = (force + rng.normal(0.0, 0.02, force.shape))[np.arange(6000) // 2 * 2]
+    noisy, ideal = (Samples.checked(Sensor.ACCELEROMETER, t, x) for x in (held, force))
+    found = compare(examine(noisy, None, sought=()), examine(ideal, None, sought=()), ("rec", "sim"))
+    why = {n.effect: n.reason for n in found.not_compared if n.sensor == "accel"}
+    assert why["held_samples"] == "sim: it has no noise at all"
+    assert why["noise_heavy_tailed"].endswith("sim: it has no noise at all")
+
+
 @pytest.mark.parametrize("attitudes", [1, 8])
 def test_a_simulation_without_noise_breaks_nothing(attitudes: int) -> None:
     """Eight attitudes ended in a singular matrix: beside such precision nothing of the priors was left."""

@@ -50,9 +50,11 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     effect, sensor = key
     drivers = [w.hypothesis.effect for w in wanted]
     unlogged = [why_not_logged(exam, e) for e in drivers if (e.name, e.sensor) == key]
+    streams = [s for s in exam.streams if s.sensor == sensor]
     if effect in (noise.LEVEL, noise.LOW_PASS):
-        streams = [s for s in exam.streams if s.sensor == sensor]
         return noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
+    if effect == "held_samples" and streams and streams[0].silent:
+        return noise.NONE_AT_ALL
     if sensor == "timing":
         unlooked = next((c.reason for c in direct_checks(exam) if (c.effect, c.sensor) == key), None)
         return unlooked or exam.why_no_delay or uninformed(effect)
