@@ -61,6 +61,9 @@ MOVED, SHAKEN = 4.0, 100.0
 """How many times the variance of its bin a mean has where what it lies on moves, and how many times that of
 the sensor's own white noise: no wander is ten times as loud within 2 s."""
 
+BARELY = 2.0
+"""Times the variance of white noise below which no other noise is beside it."""
+
 NONE_AT_ALL = "it has no noise at all"
 BLURRED = "its values come in steps larger than the noise"
 REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
@@ -322,7 +325,8 @@ def slow_noise(
 ) -> SlowNoise | None:
     """Return the Allan deviation of the bias at `AVERAGED`, logarithms; None without rests that long.
 
-    None as well where something hides it (`why_no_slow_noise`).
+    None as well where something hides it (`why_no_slow_noise`). A sensor without any noise has no slow noise
+    where it is that of the white noise which was added.
 
     It is averaged over the noise shapes by their posterior, the effects that were found and those `asked` for
     taken out first.
@@ -337,6 +341,8 @@ def slow_noise(
     if len(shown) < len(views):
         return None
     value, error = np.array(shown).T
+    white = np.array([_white(view) for view in views])
+    silent = any(s.silent for s in exam.streams if s.sensor == residuals.sensor)
     return SlowNoise(
         f"{residuals.sensor}_slow_noise",
         residuals.sensor,
@@ -349,7 +355,8 @@ def slow_noise(
         logarithmic=True,
         reference={"averaging_s": AVERAGED},
         where=Where(*residuals.bins.span, (0.0, 1.0 / AVERAGED), "nothing"),
-        white=np.array([_white(view) for view in views]),
+        none=silent and bool((np.exp(2.0 * value) < BARELY * white).all()),
+        white=white,
     )
 
 

@@ -64,8 +64,12 @@ def _own(samples: Samples) -> Array:
 def audible(
     accelerometer: Samples, gyroscope: Samples | None, seconds: Overview
 ) -> tuple[Samples, Samples | None, Overview, frozenset[str]]:
-    """Return both sensors and every second of them with noise, and which sensors have none of their own."""
-    silent = set()
+    """Return both sensors and every second of them with noise, and which sensors have none of their own.
+
+    One that never changes has none, and gets none: it may be a simulation at rest, or a dead sensor.
+    """
+    both = (("accel", accelerometer), ("gyro", gyroscope))
+    silent = {sensor for sensor, samples in both if samples and not np.ptp(samples.xyz, axis=0).any()}
     if (made := with_noise(accelerometer, seconds.force)) is not None:
         accelerometer, seconds = made[0], replace(seconds, force=made[1])
         silent.add("accel")

@@ -88,6 +88,8 @@ def test_what_is_louder_by_its_white_noise_alone_has_no_more_slow_noise(
     """A simulation without any noise was said to lack slow noise of 6 deg/h, the recording's white noise."""
     one = difference_of(resting(1e-3, 0.0, 1), resting(*simulated, 2))
     assert posterior(one.log_bayes_factor, 30) < 0.5
+    walking = difference_of(resting(1e-3, 5e-3, 1), resting(*simulated, 2))
+    assert walking.relation() == "lacking" or simulated[0] > 0.0
     other = difference_of(resting(1e-3, 0.0, 1), resting(simulated[0], 5e-3, 2))
     assert posterior(other.log_bayes_factor, 30) > CERTAIN and (other.value < 0.0).all()
 

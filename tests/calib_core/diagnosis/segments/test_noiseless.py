@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.segments.noiseless import FAINT, QUIETEST, with_noise
+from stillcal.calib_core.diagnosis.segments.noiseless import FAINT, QUIETEST, audible, with_noise
+from stillcal.calib_core.diagnosis.segments.static_bins import overview_of
 from stillcal.calib_core.diagnosis.segments.windows import windows
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -72,3 +73,10 @@ def test_one_with_noise_or_steps_or_no_change_is_left_as_it_is(xyz: Array) -> No
 
 def test_printed_decimals_are_no_steps_that_hide_noise() -> None:
     assert with_its_noise(np.round(turned(), 4)) is not None
+
+
+def test_a_simulation_at_rest_that_never_changes_has_no_noise_and_gets_none() -> None:
+    """It was said that its noise is "not white over most of the band"."""
+    still = samples(np.full((3000, 3), 9.8))
+    made, _, _, silent = audible(still, None, overview_of(still, None))
+    assert made is still and silent == {"accel"}
