@@ -207,7 +207,8 @@ def test_a_copy_of_temperature_does_not_take_its_name_away(tmp_path: Path) -> No
     assert found["effect"] == "gyro_bias_temperature"
     alike = [a["effect"] for a in found["alternatives"] if a["indistinguishable"]]
     assert "gyro_bias_case_f" in alike
-    assert "bias with case_f - the column case_f is a copy of temperature, and cannot be told from it" in text
+    why = "the column case_f is a copy of temperature, and cannot be told from it"
+    assert f"bias with the column case_f - {why}" in text
 
 
 def test_a_column_that_does_not_change_is_said_to_drive_nothing(log: Path, tmp_path: Path) -> None:
