@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,11 +88,11 @@ PIECES = 40
 LEAST_RATE_ERROR = 1e-6
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class SlowNoise(Quantity):
     """Slow noise as one recording shows it. white: (k,) what white noise makes of its variance."""
 
-    white: Array = field(default_factory=lambda: np.zeros(0))
+    white: Array
 
     def beside(self, other: SlowNoise) -> SlowNoise:
         """Return it as it would be with as much white noise as another recording has, if that has more."""
@@ -125,7 +125,7 @@ def density(stream: Stream) -> Quantity | None:
         LEVEL,
         stream.sensor,
         (Part("density", f"{UNIT[stream.sensor]}/sqrt(Hz)", 3),),
-        np.log(values),
+        np.log(np.maximum(values, SILENT)),
         np.diag(errors**2),
         np.full(3, TIMES),
         np.full(3, ALIKE_DENSITY),

@@ -51,7 +51,7 @@ class CovariateBias(PolynomialBias):
     def __init__(self, sensor: str, column: str, spread: float, degree: int = 1) -> None:
         self.column, self.follows = column, driver_of(column)
         self.kind = kind_of_column(column)
-        self.says, self.called_as = f"changes with {column}", f"change of {{bias}} with the column {column}"
+        self.says, self.called_as = f"changes with {column}", f"change of {{bias}} with {self.follows}"
         unit = f"unit of {column}"
         per = (f" per {unit}", f" per squared {unit}", f" per cubed {unit}")
         super().__init__(sensor, degree, per, slope=SIZE[sensor] / spread, reach=spread)

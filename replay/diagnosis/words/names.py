@@ -5,6 +5,7 @@ from __future__ import annotations
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import SUFFIX
 from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
+from stillcal.calib_core.diagnosis.effects.followed import driver_of
 from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
 
 THE_BUILT_IN = "the built-in simulation"
@@ -33,7 +34,7 @@ def _of_column(effect: str, sensor: str) -> str:
     """Return the noun of a bias that follows a logged column, or an unknown effect's own words."""
     start, _, column = effect.partition("_bias_")
     if start == sensor and column:
-        return f"change of the {SENSORS[sensor]}'s bias with the column {column.removesuffix(SUFFIX)}"
+        return f"change of the {SENSORS[sensor]}'s bias with {driver_of(column.removesuffix(SUFFIX))}"
     return effect.replace("_", " ")
 
 

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, copies, kind_of_column
-from stillcal.calib_core.diagnosis.effects.followed import follows_temperature
+from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature
 from stillcal.calib_core.diagnosis.effects.temperature import LEAST_SPAN
 from stillcal.calib_core.diagnosis.effects.warmup import TAUS
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -158,7 +158,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     if sensor == "gyro":
         yield exam.gyroscope is None, "no rates" if exam.is_table else "no gyroscope"
     column, moving = _of_columns(exam).get((effect, sensor), ("", True))
-    yield not moving, f"the column {column} does not change at rest, so nothing can follow it"
+    yield not moving, f"{driver_of(column)} does not change at rest, so nothing can follow it"
     yield sensor == exam.exchanged, "its axes are exchanged"
     yield from _of_rest(exam, sensor)
     if column:
