@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AXES, Claims, Finding, Where
-from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, usual
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
 from stillcal.calib_core.diagnosis.noise.gathered_noise import (
@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER a
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
-from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, bandwidth, quiet
+from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -119,6 +119,12 @@ class Stream:
         """Return what its noise at rest measures, on the scales of the populations of sound phones."""
         return of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
 
+    def coarse_values(self, lsb: float | None, usual: Usual | None) -> Finding | None:
+        """Return the step that its values come in, if that is coarse (`quantisation`); None in few rests."""
+        if len(self.still.pieces) < LEAST_PIECES:
+            return None
+        return quantisation(self.samples, self.sensor, self.steps, lsb, usual)
+
     def with_what_moves(self) -> tuple[Spectra | None, noise.Levels | None]:
         """Return spectra and levels in which a line that is at another frequency in every rest is left.
 
@@ -164,11 +170,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
         (claims.accel_lsb, claims.accel_range) if sensor == "accel" else (claims.gyro_lsb, claims.gyro_range)
     )
     held, share = repeats.held(samples, sensor, usual(sound, "held_samples", claims.nominal_rate_hz))
-    comb = (
-        quantisation(samples, sensor, stream.steps, lsb, sound["step_over_noise"])
-        if len(stream.still.pieces) >= 3
-        else None
-    )
+    comb = stream.coarse_values(lsb, sound["step_over_noise"])
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():

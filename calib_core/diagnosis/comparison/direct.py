@@ -42,6 +42,9 @@ MEASURED_ELSEWHERE = (
 )
 """Findings of one recording by itself whose quantity is measured in both, whether it is a finding or not."""
 
+COARSE = "_quantisation"
+"""How the effects of coarse values end, of either sensor."""
+
 LINE = "frequency"
 """Parameter that tells two lines of one sensor apart."""
 
@@ -50,13 +53,20 @@ ALIKE = 0.05
 
 
 def direct_statements(exam: Examination) -> list[Finding]:
-    """Return the findings that state no slow hypothesis, and those that no other recording can have."""
-    return [
+    """Return the findings that state no slow hypothesis, and those that no other recording can have.
+
+    Values in steps coarser than their noise are among them, however many sound phones have such steps:
+    another recording may have none.
+    """
+    found = [
         s.finding
         for s in exam.statements
         if (s.hypothesis is None or not transferable(s.hypothesis))
         and not s.finding.effect.endswith(MEASURED_ELSEWHERE)
     ]
+    stated = {f.sensor for f in found if f.effect.endswith(COARSE)}
+    coarse = (s.coarse_values(None, None) for s in exam.streams if s.sensor not in stated)
+    return [*found, *(one for one in coarse if one is not None)]
 
 
 DELAY_SIZE = 0.01
@@ -207,7 +217,7 @@ def step_of_other(finding: Finding, other: Examination) -> Finding | None:
     be a usual one. None where the step is another, and finer than its noise.
     """
     streams = [s for s in other.streams if s.sensor == finding.sensor]
-    if not finding.effect.endswith("_quantisation") or not streams:
+    if not finding.effect.endswith(COARSE) or not streams:
         return None
     own = finding.parameters["step"]
     axes, steps = [AXES.index(a) for a in finding.axes], streams[0].steps

@@ -264,6 +264,8 @@ def why_no_density(stream: Stream) -> str:
         return NONE_AT_ALL
     if stream.repeats_many:
         return REPEATED
+    if stream.levels is not None and stream.steps.blurs_level():
+        return BLURRED
     if stream.levels is not None and not stream.levels.white:
         return "its noise at rest is not white over most of the band"
     if stream.levels is not None:

@@ -92,13 +92,13 @@ def steps(samples: Samples, sd: Array) -> Steps:
 
 
 def quantisation(
-    samples: Samples, sensor: str, seen: Steps, lsb: float | None, usual: Usual
+    samples: Samples, sensor: str, seen: Steps, lsb: float | None, usual: Usual | None
 ) -> Finding | None:
     """Find a step coarser than the declared one, or, where none is declared, than the noise.
 
     A power of ten is how values are printed, and no finding unless it is half of the noise. The step of 16
     bits at a usual range is one as soon as it does more to the values than to add to their variance. usual:
-    of the logarithm of the step over the noise, where no step is declared.
+    of the logarithm of the step over the noise, where no step is declared; None: whatever sound phones have.
     """
     limit = [1.5 * lsb if lsb else float(seen.sd[a]) for a in range(3)]
     axes = [
@@ -117,11 +117,11 @@ def quantisation(
     say = f"The {NAME[sensor]}'s values come in steps of {size}, coarser than declared or than its noise."
     parameter = {"step": Parameter(step, [step - half, step + half], UNIT[sensor])}
     grid, held_out = grid_evidence(samples.xyz[:, axes[0]])
-    unusual = of_measured(relative_step(seen), usual)
-    # Both must hold: there is a grid, and it is coarser than that of sound phones.
-    judged = DirectEvidence(
-        grid if lsb else min(grid, unusual.log_bayes_factor), held_out, "" if lsb else unusual.unusual
-    )
+    judged = DirectEvidence(grid, held_out)
+    if usual is not None and not lsb:
+        unusual = of_measured(relative_step(seen), usual)
+        # Both must hold: there is a grid, and it is coarser than that of sound phones.
+        judged = DirectEvidence(min(grid, unusual.log_bayes_factor), held_out, unusual.unusual)
     return direct_finding(
         f"{sensor}_quantisation", sensor, axes, where, parameter, statement=say, seen=judged
     )

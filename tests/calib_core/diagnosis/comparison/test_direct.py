@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import checks_of
 from stillcal.calib_core.diagnosis.comparison.direct import (
+    direct_statements,
     pair_of,
     partner,
     quantities_of,
@@ -169,6 +171,29 @@ def test_a_step_is_not_lacking_where_louder_noise_hides_it() -> None:
     of_x, quiet, loud = replace(found[0], axes=["x"]), 0.013, 0.05
     assert step_of_other(of_x, stepped(0.02, np.array([quiet, loud, loud]))) is not None
     assert step_of_other(of_x, stepped(0.02, np.array([loud, quiet, quiet]))) is None
+
+
+def test_a_step_that_sound_phones_have_is_lacking_where_a_simulation_has_none() -> None:
+    rng, t = np.random.default_rng(7), np.arange(0.0, 300.0, 0.02)
+
+    def at_rest(step: float) -> Examination:
+        xyz = np.array([0.3, 0.2, 9.81]) + rng.normal(0.0, 0.02, (t.size, 3))
+        xyz[:50] += np.linspace(0.0, 2.0, 50)[:, None]
+        return examine(
+            Samples(Sensor.ACCELEROMETER, t, frozen(step * np.rint(xyz / step) if step else xyz)),
+            None,
+            sought=(),
+        )
+
+    coarse, fine = at_rest(0.03), at_rest(0.0)
+    assert not coarse.statements and not direct_statements(fine), "1.5 times the noise, as sound phones have"
+    assert [f.effect for f in direct_statements(coarse)] == ["accel_quantisation"]
+    found = [
+        compare(*pair, ("rec", "sim")) for pair in ((coarse, fine), (fine, coarse), (coarse, at_rest(0.03)))
+    ]
+    assert [[(d.effect, d.relation) for d in c.discrepancies] for c in found] == [
+        [("accel_quantisation", "lacking")], [("accel_quantisation", "superfluous")], []
+    ]  # fmt: skip
 
 
 def delivered(rate_hz: float, every_s: float = 0.0) -> Samples:
