@@ -92,6 +92,11 @@ class Stream:
         return cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found)
 
     @property
+    def span(self) -> tuple[float, float]:
+        """First and last stamp, s."""
+        return float(self.samples.t[0]), float(self.samples.t[-1])
+
+    @property
     def repeats_many(self) -> bool:
         """Whether so many samples repeat the one before that its spectrum is not that of the noise."""
         seen = repeats.Repeats.of(self.samples)

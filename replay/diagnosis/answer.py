@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.codec import jsonable
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.direct import MEASURED_ELSEWHERE
-from stillcal.calib_core.diagnosis.comparison.noise import UNEQUAL, shown_ratios
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import UNEQUAL, shown_ratios
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared, p_of
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, vector

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy

@@ -15,7 +15,7 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.axes import Exchange, exchange_of
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import columns_over, course_over
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import slow_effects
-from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     compare_in_pair,

@@ -14,10 +14,10 @@ import numpy as np
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import SHOWS_MORE
-from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
-from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
+from stillcal.calib_core.diagnosis.comparison.sample_rate import rate as counted_rate
 from stillcal.calib_core.diagnosis.model.records import AXES
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.streams.samples import Samples

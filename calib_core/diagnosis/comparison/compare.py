@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison import sample_rate
 from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import driven, excluded, of_any_course
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import (
@@ -31,6 +31,7 @@ from stillcal.calib_core.diagnosis.comparison.linear import (
     settled,
     wanted_of,
 )
+from stillcal.calib_core.diagnosis.comparison.noise import slow_noise, white_noise
 from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differences_of_samples, in_neither
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
@@ -154,7 +155,7 @@ def _is_slow_noise(finding: Finding, pairs: Sequence[Difference]) -> bool:
 def _is_motion(one: Sole, exams: tuple[Examination, Examination]) -> bool:
     """Whether wander that one recording has may be motion of what the phone lay on."""
     finding, of_recording = one
-    return finding.where.driver == NO_DRIVER and noise.moves(exams[not of_recording], finding.sensor)
+    return finding.where.driver == NO_DRIVER and slow_noise.moves(exams[not of_recording], finding.sensor)
 
 
 def _paired(
@@ -170,7 +171,7 @@ def _paired(
         one, other = (side.get(key) for side in sides)
         reason = why_not_compared(key, (one, other), exams, names, wanted)
         if reason is None and one is not None and other is not None:
-            pairs.append(noise.difference_of(one, other))
+            pairs.append(slow_noise.difference_of(one, other))
         else:
             missing.append(NotCompared(*key, reason or "neither of the two shows it"))
     return pairs, missing
@@ -196,13 +197,14 @@ def _sides(exams: tuple[Examination, Examination], asked: _Asked) -> list[dict[K
         ]
 
     shown = [
-        linear | _noise_and_stamps(exam, own, slowest)
+        linear | _wander_and_stamps(exam, own, slowest)
         for linear, (exam, own) in zip(anew(means, False), both, strict=True)
     ]
     shown = where_both_agree(shown, means, settling, anew)
     shown = not_logged.with_unknown_temperature(shown, asked.unlogged)
-    shown = [side | more for side, more in zip(shown, noise.low_passes((recorded, simulated)), strict=True)]
-    sides = noise.without_repeated(shown)
+    more = white_noise.of_both((recorded, simulated))
+    shown = [side | noise for side, noise in zip(shown, more, strict=True)]
+    sides = white_noise.without_repeated(shown)
     if asked.steady:
         sides[1] = of_any_course(simulated, asked.of_simulation, asked.steady, sides[1])
     return sides
@@ -244,17 +246,20 @@ def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
     return list(out.values())
 
 
-def _noise_and_stamps(exam: Examination, wanted: Sequence[Wanted], slowest: float) -> dict[Key, Quantity]:
-    """Return what one recording shows of noise, stamps and delay. slowest: s, the longer period of both."""
-    out = noise.densities(exam)
+def _wander_and_stamps(exam: Examination, wanted: Sequence[Wanted], slowest: float) -> dict[Key, Quantity]:
+    """Return what one recording shows of slow noise, stamps and delay.
+
+    slowest: s, the longer period of both.
+    """
+    out: dict[Key, Quantity] = {}
     for residuals in exam.sensors:
         if len(residuals.bins) < thresholds.LEAST_BINS:
             continue
         own = [w for w in wanted if w.kind == kind_of(residuals)]
         found = [h for w in own if (h := proposed(residuals, w)) is not None]
-        if (slow := noise.slow_noise(exam, residuals, found)) is not None:
+        if (slow := slow_noise.slow_noise(exam, residuals, found)) is not None:
             out[slow.effect, slow.sensor] = slow
-    out["sample_rate", "timing"] = noise.rate(exam.accelerometer)
+    out["sample_rate", "timing"] = sample_rate.rate(exam.accelerometer)
     return out | stamp_quantities(exam, slowest) | delay_quantity(exam)
 
 

@@ -10,8 +10,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.linear import transferable
-from stillcal.calib_core.diagnosis.comparison.noise import TIMES
-from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Key, Part, Quantity
 from stillcal.calib_core.diagnosis.direct import quantities, smallest
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
 from stillcal.calib_core.diagnosis.examination import Examination

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison import sample_rate
 from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, direct_checks, obstacle
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     step_of_other,
     why_not_shown,
 )
+from stillcal.calib_core.diagnosis.comparison.noise import white_noise
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
     Key,
@@ -45,10 +46,10 @@ def compare_samples(
 
     beside: how many effects are compared besides, with which these share their prior odds.
     """
-    more = noise.low_passes(exams)
-    every = [_quantities(exam) | filters for exam, filters in zip(exams, more, strict=True)]
-    sides = noise.without_repeated(every)
-    levels = [(noise.LEVEL, stream.sensor) for stream in exams[0].streams]
+    more = white_noise.of_both(exams)
+    every = [_shares(exam) | noise for exam, noise in zip(exams, more, strict=True)]
+    sides = white_noise.without_repeated(every)
+    levels = [(white_noise.LEVEL, stream.sensor) for stream in exams[0].streams]
     keys = list(dict.fromkeys([*levels, *sides[0], *sides[1]]))
     both = [key for key in keys if all(key in side for side in sides)]
     reasons = [_reasons(exam) for exam in exams]
@@ -75,9 +76,9 @@ def _reasons(exam: Examination) -> Reasons:
     return {key: why for key, why in checks.items() if _is_compared(key)}
 
 
-def _quantities(exam: Examination) -> dict[Key, Quantity]:
-    shares = {key: one for key, one in stamp_quantities(exam).items() if _is_compared(key)}
-    return shares | noise.densities(exam)
+def _shares(exam: Examination) -> dict[Key, Quantity]:
+    """Return what one recording's values show: the share of them that repeat the one before."""
+    return {key: one for key, one in stamp_quantities(exam).items() if _is_compared(key)}
 
 
 def _missing(
@@ -87,7 +88,7 @@ def _missing(
     whys = []
     for side, exam, name in zip(sides, exams, names, strict=True):
         if key not in side:
-            why = [noise.why_not_measured(key[0], s) for s in exam.streams if s.sensor == key[1]]
+            why = [white_noise.why_not_measured(key[0], s) for s in exam.streams if s.sensor == key[1]]
             whys.append(f"{name}: {why[0] if why else 'no such sensor'}")
     return NotCompared(*key, "; ".join(whys))
 
@@ -144,7 +145,7 @@ def _same_rate(finding: Finding, own: Examination, other: Examination) -> Findin
     if finding.effect != "clock_skew" or not nominal or other.claims.nominal_rate_hz != nominal:
         return None
     relative = float(np.asarray(finding.parameters["relative"].value))
-    errors = [float(np.exp(noise.rate(e.accelerometer).value[0])) / nominal - 1.0 for e in (own, other)]
+    errors = [float(np.exp(sample_rate.rate(e.accelerometer).value[0])) / nominal - 1.0 for e in (own, other)]
     return finding if max(abs(e - relative) for e in errors) <= ALIKE * abs(relative) else None
 
 

@@ -25,6 +25,10 @@ from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS, 
 
 Relation = Literal["lacking", "too_small", "too_large", "superfluous"]
 
+TIMES = float(np.log(3.0))
+"""Prior size of the logarithm of how far a simulation may be off: a factor of three, as datasheets and parts
+are."""
+
 EVEN = 0.5
 """Posterior probability of any difference from which there is no agreement."""
 

@@ -6,8 +6,8 @@ from collections.abc import Set
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison import noise
 from stillcal.calib_core.diagnosis.comparison.direct import named
+from stillcal.calib_core.diagnosis.comparison.noise import white_noise
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Key, posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.model import settings as thresholds
@@ -115,8 +115,8 @@ def discrepancy(difference: Difference) -> Discrepancy:
     effect, relation = recorded.effect, difference.relation()
     where = (difference.simulated if relation == "superfluous" else recorded).where
     assert where is not None, "every quantity says where it was measured"
-    if effect == noise.LEVEL and (unequal := noise.unequal(difference, axes)) is not None:
-        effect, relation = noise.UNEQUAL, unequal
+    if effect == white_noise.LEVEL and (unequal := white_noise.unequal(difference, axes)) is not None:
+        effect, relation = white_noise.UNEQUAL, unequal
     return Discrepancy(
         effect,
         recorded.sensor,
@@ -131,7 +131,7 @@ def discrepancy(difference: Difference) -> Discrepancy:
 
 def with_unequal(agreed: list[Difference]) -> list[Difference]:
     """Return what agrees, the imbalance of a noise whose densities do under its own name too."""
-    return [*agreed, *(noise.named_unequal(d) for d in agreed if noise.alike_unequal(d))]
+    return [*agreed, *(white_noise.named_unequal(d) for d in agreed if white_noise.alike_unequal(d))]
 
 
 def axes_of(difference: Difference) -> list[str]:

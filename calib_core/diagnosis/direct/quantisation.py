@@ -76,6 +76,14 @@ class Steps:
         """Whether the noise does not even dither the steps, so that its spectrum cannot be seen."""
         return self.over_noise() > HIDDEN
 
+    def still_at_rest(self) -> bool:
+        """Whether values at rest stay on one step."""
+        return self.largest > 0.0 and not self.sd.any()
+
+    def most_hidden(self) -> Array:
+        """Return the sd (3,) of noise with which values at rest would not stay on one step, at most."""
+        return np.where(self.step > 0.0, self.step, self.largest) / DITHERED
+
     def left_in_mean(self) -> Array:
         """Return the sd (3,) of the error that steps leave in a mean at most; 0 where noise dithers them."""
         return self.step / ROUNDED if self.blurs_level() else np.zeros(3)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned

@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.effects.catalogue import foreign_effects
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins

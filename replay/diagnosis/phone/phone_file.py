@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
-from stillcal.calib_core.diagnosis.comparison.noise import rate as counted_rate
+from stillcal.calib_core.diagnosis.comparison.sample_rate import rate as counted_rate
 from stillcal.calib_core.diagnosis.model.earth import ground, shared_rate
 from stillcal.calib_core.diagnosis.noise.low_pass import quiet
 from stillcal.calib_core.diagnosis.noise.noise_level import density

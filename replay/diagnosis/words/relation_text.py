@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.noise import LOW_PASS
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.fix.findings import (

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
     WHITE,

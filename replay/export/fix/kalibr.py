@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.fix.findings import (

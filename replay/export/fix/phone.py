@@ -16,7 +16,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES
 from stillcal.calib_core.diagnosis.comparison.direct import ALIKE, LINE
-from stillcal.calib_core.diagnosis.comparison.noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR

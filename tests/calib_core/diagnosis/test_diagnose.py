@@ -9,7 +9,7 @@ import pytest
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import HARDLY, checks_of
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
-from stillcal.calib_core.diagnosis.comparison.noise import densities
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import density
 from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported
@@ -108,7 +108,8 @@ def test_what_a_simulation_without_noise_has_is_found() -> None:
     accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, np.round(force, 6), warm)
     exam = examine(accelerometer, Samples.checked(Sensor.GYROSCOPE, t, np.round(rate, 7)))
     assert {s.finding.effect for s in exam.statements} == {"accel_warmup", "gyro_bias_temperature"}
-    assert all(level.none for level in densities(exam).values()) and len(densities(exam)) == 2
+    levels = [density(stream) for stream in exam.streams]
+    assert len(levels) == 2 and all(level is not None and level.none for level in levels)
 
 
 def test_of_a_simulation_without_noise_it_is_said_why_it_shows_no_tails_and_no_repeats() -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Sought
-from stillcal.calib_core.diagnosis.comparison.noise import BLURRED, why_no_density
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import BLURRED, why_no_density
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects

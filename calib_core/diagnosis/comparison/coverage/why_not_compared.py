@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison import noise
+from stillcal.calib_core.diagnosis.comparison import sample_rate
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import (
     direct_checks,
     obstacle,
@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import (
     why_not_logged,
 )
 from stillcal.calib_core.diagnosis.comparison.linear import Wanted
+from stillcal.calib_core.diagnosis.comparison.noise import slow_noise, white_noise
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.noise_models import AVERAGED
@@ -34,8 +35,8 @@ def why_not_compared(
             return f"{name}: {uninformed(key[0])}"
     one, other = pair
     assert one is not None and other is not None, "a missing one was told of above"
-    if key[0] == "sample_rate" and np.abs(one.value - other.value).max() < noise.ALIKE_RATE:
-        even = [n for e, n in zip(exams, names, strict=True) if noise.exactly_even(e.accelerometer.t)]
+    if key[0] == "sample_rate" and np.abs(one.value - other.value).max() < sample_rate.ALIKE_RATE:
+        even = [n for e, n in zip(exams, names, strict=True) if sample_rate.exactly_even(e.accelerometer.t)]
         if names[0] in even:
             return (
                 f"{names[0]}: its stamps are exactly even, so they were computed and say nothing of its clock"
@@ -51,15 +52,15 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     drivers = [w.hypothesis.effect for w in wanted]
     unlogged = [why_not_logged(exam, e) for e in drivers if (e.name, e.sensor) == key]
     streams = [s for s in exam.streams if s.sensor == sensor]
-    if effect in (noise.LEVEL, noise.LOW_PASS):
-        return noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
+    if effect in (white_noise.LEVEL, white_noise.LOW_PASS):
+        return white_noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
     if effect == "held_samples" and streams and streams[0].silent:
-        return noise.NONE_AT_ALL
+        return white_noise.NONE_AT_ALL
     if sensor == "timing":
         unlooked = next((c.reason for c in direct_checks(exam) if (c.effect, c.sensor) == key), None)
         return unlooked or exam.why_no_delay or uninformed(effect)
     first = obstacle(exam, effect, sensor)
     if first is None and effect.endswith("slow_noise"):
-        whys = (noise.why_no_slow_noise(exam, r) for r in exam.sensors if r.sensor == sensor)
+        whys = (slow_noise.why_no_slow_noise(exam, r) for r in exam.sensors if r.sensor == sensor)
         return next((why for why in whys if why), f"too few rests of {AVERAGED:.0f} s")
     return first or next((why for why in unlogged if why), None) or uninformed(effect)

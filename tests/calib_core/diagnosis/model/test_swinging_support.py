@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.noise import hidden_by_motion
+from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import hidden_by_motion
 from stillcal.calib_core.diagnosis.effects.unknown import UnknownCurve
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.rates import tilt_rate

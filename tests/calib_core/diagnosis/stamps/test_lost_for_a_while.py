@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import UNTOLD, direct_checks
-from stillcal.calib_core.diagnosis.comparison.noise import rate
+from stillcal.calib_core.diagnosis.comparison.sample_rate import rate
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.noise import rate
+from stillcal.calib_core.diagnosis.comparison.sample_rate import rate
 from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_of
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import direct_checks
-from stillcal.calib_core.diagnosis.comparison.noise import low_passes, why_not_measured
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, of_both, why_not_measured
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -54,7 +54,7 @@ def test_the_cutoffs_of_both_are_compared(
 
 def test_where_neither_has_one_nothing_is_told() -> None:
     exams = still(None, 1), still(None, 2)
-    assert low_passes(exams) == [{}, {}]
+    assert all(LOW_PASS not in {effect for effect, _ in side} for side in of_both(exams))
     said = compare_samples(exams, ("rec", "sim"))
     assert said.discrepancies == [] and KEY not in {(n.effect, n.sensor) for n in said.not_compared}
 
@@ -90,6 +90,6 @@ def test_the_noise_of_repeated_values_is_not_said_to_be_looked_at() -> None:
 
 def test_a_rate_too_low_to_show_a_cutoff_says_nothing_of_it() -> None:
     slow = still(None, 2, rate=40.0)
-    sides = low_passes((still(20.0, 1), slow))
-    assert [set(side) for side in sides] == [{KEY}, set()]
+    sides = of_both((still(20.0, 1), slow))
+    assert [KEY in side for side in sides] == [True, False]
     assert why_not_measured("bandwidth", slow.streams[0]) == "its rate is too low to show it"

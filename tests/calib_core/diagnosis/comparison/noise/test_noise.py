@@ -10,15 +10,14 @@ import pytest
 from scipy.signal import lfilter
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.compare import _is_motion
-from stillcal.calib_core.diagnosis.comparison.noise import (
+from stillcal.calib_core.diagnosis.comparison.compare import _is_motion, compare
+from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import (
     SlowNoise,
-    density,
     difference_of,
     slow_noise,
-    why_no_density,
     why_no_slow_noise,
 )
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LEVEL, density, of_both, why_no_density
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
@@ -146,3 +145,31 @@ def test_wander_of_a_phone_in_a_train_is_the_trains() -> None:
     for force, motion in ((still, False), (still + pulled, True)):
         exam = examine(Samples(Sensor.ACCELEROMETER, t, force), None, sought=())
         assert _is_motion((found, True), (exam, exam)) == motion
+
+
+def stepped(noise: float, step: float, seed: int) -> Samples:
+    """Return ten minutes of rests in 20 attitudes, the values in steps. noise: sd, m/s^2."""
+    rng = np.random.default_rng(seed)
+    n = int(600.0 * RATE)
+    rests = np.repeat(rng.normal(0.0, 5.0, (20, 3)), n // 20, axis=0)
+    values = rests + rng.normal(0.0, noise, (n, 3)) if noise else rests
+    return Samples(
+        Sensor.ACCELEROMETER, np.arange(n) / RATE, step * np.rint(values / step) if step else values
+    )
+
+
+@pytest.mark.parametrize(
+    ("noise", "step", "told"), [(0.0, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False)]
+)
+def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
+    noise: float, step: float, told: bool
+) -> None:
+    """The recording's is 0.02 m/s^2: of less than a step of 0.1 nothing would be seen."""
+    exams = examine(stepped(0.02, 0.0, 1), None, sought=()), examine(stepped(noise, step, 2), None, sought=())
+    recorded, simulated = (side.get((LEVEL, "accel")) for side in of_both(exams))
+    assert recorded is not None and not recorded.none
+    assert (simulated is not None and simulated.none) == told
+    lacking = [(d.effect, d.relation) for d in compare(*exams, ("rec", "sim")).discrepancies]
+    assert ((LEVEL, "lacking") in lacking) == told
+    if not noise and not told:
+        assert simulated is None and why_no_density(exams[1].streams[0]).endswith("steps that hide the noise")

@@ -1,0 +1,230 @@
+"""White noise and low-passes of a recording as quantities that do not depend on its rate or length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Difference, Key, Part, Quantity, Relation
+from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
+from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.records import AXES, Where
+from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
+from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
+from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
+from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.diagnosis.stream import Stream
+
+ALIKE_DENSITY = float(np.log(1.05))
+"""Noise densities of one phone on two days differ by some per cent with temperature and what it lies on."""
+
+SILENT = 1e-12
+"""Density below which samples have no noise at all, only rounding of double precision, as simulations may."""
+
+NONE_ERROR = 0.15
+"""Standard deviation of the logarithm of a density that is as good as none."""
+
+ALIKE_CUTOFF = 0.05
+"""Relative difference of two cutoffs that is none: they depend on the shape that is fitted."""
+
+NONE_AT_ALL = "it has no noise at all"
+BLURRED = "its values come in steps larger than the noise"
+LOUD = (
+    "its noise is louder than any sensor's, or differs between rests by more than chance: heavy tails, or"
+    " something shakes the phone"
+)
+REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
+
+LOW_PASS = "bandwidth"
+LEVEL, UNEQUAL = OF_DENSITY = ("noise_level", "noise_unequal_axes")
+"""Names of a difference between two densities of white noise: on any axes, or on one beside the others."""
+
+
+def of_both(exams: Sequence[Examination]) -> list[dict[Key, Quantity]]:
+    """Return white noise and low-pass of each sensor in two recordings, by effect and sensor, where shown.
+
+    How little of either one of them has may be known only beside the other.
+    """
+    sides: list[dict[Key, Quantity]] = [{}, {}]
+    for streams in zip(*(exam.streams for exam in exams), strict=False):
+        for shown in (_levels(streams), _low_passes(streams)):
+            for side, quantity in zip(sides, shown, strict=True):
+                if quantity is not None:
+                    side[quantity.effect, quantity.sensor] = quantity
+    return sides
+
+
+def density(stream: Stream) -> Quantity | None:
+    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown."""
+    if stream.silent:
+        return _density(stream, np.full(3, SILENT))
+    if stream.levels is None or not stream.levels.own:
+        return None
+    return _density(stream, np.maximum(stream.levels.values(), SILENT), stream.levels.errors())
+
+
+def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quantity:
+    """Return densities (3,) with their relative errors (3,); None where there are none above them."""
+    return Quantity(
+        LEVEL,
+        stream.sensor,
+        (Part("density", f"{UNIT[stream.sensor]}/sqrt(Hz)", 3),),
+        np.log(values),
+        np.diag((np.full(3, NONE_ERROR) if errors is None else errors) ** 2),
+        np.full(3, TIMES),
+        np.full(3, ALIKE_DENSITY),
+        np.arange(3),
+        logarithmic=True,
+        where=Where(*stream.span, (0.0, stream.still.rate / 2.0), "noise at rest"),
+        none=errors is None,
+    )
+
+
+def _levels(streams: Sequence[Stream]) -> list[Quantity | None]:
+    """Return the white noise of one sensor in two recordings; None where it is not shown."""
+    both = [density(stream) for stream in streams]
+    every = zip(streams, both, reversed(both), strict=True)
+    return [_beneath_steps(stream, other) if own is None else own for stream, own, other in every]
+
+
+def _beneath_steps(stream: Stream, other: Quantity | None) -> Quantity | None:
+    """Return no white noise where values at rest stay on one step, and would not with the other's noise."""
+    if other is None or other.none or not stream.still.pieces or not stream.steps.still_at_rest():
+        return None
+    least = stream.steps.most_hidden() * np.sqrt(2.0 / stream.still.rate)
+    return _density(stream, least) if (np.exp(other.value) > least).all() else None
+
+
+def imbalance(quantity: Quantity, axis: str) -> Measured:
+    """Return how an axis' density stands to that of the other two, as the logarithm of the ratio."""
+    return odd_one_out(quantity.value, np.hypot(quantity.sigma, quantity.tolerance), AXES.index(axis))
+
+
+def shown_ratios(quantity: Quantity, axis: str) -> tuple[Array, Array]:
+    """Return densities over the geometric mean of the two axes but this one, and their errors, (3,) each."""
+    logs, errors = ratios_to_others(quantity.value, quantity.sigma, AXES.index(axis))
+    return np.exp(logs), np.exp(logs) * errors
+
+
+def unequal(difference: Difference, axes: Sequence[str]) -> Relation | None:
+    """Return how the imbalance of a simulation's axes stands to the recording's.
+
+    axes: those on which the densities differ. None where that is not one axis alone, beside the others.
+    """
+    if len(axes) != 1:
+        return None
+    recorded, simulated = (imbalance(q, axes[0]) for q in (difference.recorded, difference.simulated))
+    apart = abs(recorded.value - simulated.value)
+    shown = [abs(m.value) > AXIS_SIGMA * m.error for m in (recorded, simulated)]
+    if apart <= AXIS_SIGMA * np.hypot(recorded.error, simulated.error) or not any(shown):
+        return None
+    if not all(shown):
+        return "lacking" if shown[0] else "superfluous"
+    return "too_small" if abs(simulated.value) < abs(recorded.value) else "too_large"
+
+
+def alike_unequal(difference: Difference) -> bool:
+    """Whether both show one and the same axis of a white noise to stand apart from the other two."""
+    if difference.recorded.effect != LEVEL:
+        return False
+    one, other = (_odd_axis(q) for q in (difference.recorded, difference.simulated))
+    return one is not None and one == other
+
+
+def named_unequal(difference: Difference) -> Difference:
+    """Return a difference of densities under the name of their imbalance."""
+    one, other = (replace(q, effect=UNEQUAL) for q in (difference.recorded, difference.simulated))
+    return replace(difference, recorded=one, simulated=other)
+
+
+def _odd_axis(quantity: Quantity) -> str | None:
+    """Return the axis that stands farthest from the other two, if it does so beyond its error."""
+    ratios = {axis: imbalance(quantity, axis) for axis in AXES}
+    farthest = max(AXES, key=lambda axis: abs(ratios[axis].value))
+    return farthest if abs(ratios[farthest].value) > AXIS_SIGMA * ratios[farthest].error else None
+
+
+def _low_passes(streams: Sequence[Stream]) -> list[Quantity | None]:
+    """Return the low-pass of one sensor in two recordings, where one of them has any.
+
+    Where the other does not show whether it has one, only the first has the quantity.
+    """
+    both = [_low_pass(stream) for stream in streams]
+    out: list[Quantity | None] = []
+    for own, other, stream in zip(both, reversed(both), streams, strict=True):
+        elsewhere = other is not None and not other.none
+        seen = own is not None and (not own.none or (elsewhere and _within(stream, other)))
+        out.append(own if seen else None)
+    return out
+
+
+def _low_pass(stream: Stream) -> Quantity | None:
+    """Return the logarithm of the cutoff, Hz; half the rate where there is none; None if noise hides it."""
+    spectra = stream.spectra
+    if spectra is None or (spectra.low_pass is None and (stream.levels is None or not stream.levels.white)):
+        return None
+    cutoff = relative_cutoff(spectra)
+    return Quantity(
+        LOW_PASS,
+        stream.sensor,
+        (Part("cutoff", "Hz", 1),),
+        np.array([cutoff.value + np.log(spectra.rate)]),
+        np.array([[cutoff.error**2]]),
+        np.array([TIMES]),
+        np.array([ALIKE_CUTOFF]),
+        np.array([-1]),
+        logarithmic=True,
+        reference={} if spectra.low_pass is None else {"order": spectra.low_pass.order},
+        where=Where(*stream.span, (0.0, spectra.rate / 2.0), "noise at rest"),
+        none=spectra.low_pass is None,
+    )
+
+
+def _within(stream: Stream, found: Quantity | None) -> bool:
+    """Whether a sensor's rate is high enough to show a low-pass that was found in another recording."""
+    return found is not None and float(np.exp(found.value[0])) < BANDWIDTH_LIMIT * stream.still.rate
+
+
+def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, Quantity]]:
+    """Return both sides without the white noise and low-pass of a sensor that repeats many more values.
+
+    Values that are repeated for one sample have more power at low and less at high frequencies.
+    """
+
+    def more(side: Mapping[Key, Quantity], other: Mapping[Key, Quantity], sensor: str) -> bool:
+        shares = (one.get(("held_samples", sensor)) for one in (side, other))
+        own, others = (0.0 if q is None or q.none else float(np.exp(q.value[0])) for q in shares)
+        return own - others >= MANY
+
+    return [
+        {k: q for k, q in side.items() if k[0] not in (LEVEL, LOW_PASS) or not more(side, other, k[1])}
+        for side, other in zip(sides, reversed(sides), strict=True)
+    ]
+
+
+def why_not_measured(effect: str, stream: Stream) -> str:
+    """Say why a stream shows no quantity of its noise."""
+    if effect == LOW_PASS and _low_pass(stream) is not None and not stream.repeats_many:
+        return "its rate is too low to show it"
+    return why_no_density(stream)
+
+
+def why_no_density(stream: Stream) -> str:
+    """Say why a stream's white noise is not shown: the first reason that applies."""
+    levels = stream.levels
+    reasons = (
+        (stream.silent, NONE_AT_ALL),
+        (stream.repeats_many, REPEATED),
+        (levels is not None and stream.steps.blurs_level(), BLURRED),
+        (levels is not None and not levels.white, "its noise at rest is not white over most of the band"),
+        (levels is not None, LOUD),
+        (
+            bool(stream.still.pieces) and stream.steps.hides_noise(),
+            "its values come in steps that hide the noise",
+        ),
+    )
+    return next((why for applies, why in reasons if applies), "too little of it is at rest")
