@@ -98,7 +98,10 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
         checks=among + len(neither),
         had={(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in asked.wanted},
     )
-    found = [replace(d, note=_assumed(d, asked.steady, names)) for d in whole.discrepancies]
+    found = [
+        replace(d, note=_assumed(d, asked.steady, names) or _noise_put_in(d, exams, names))
+        for d in whole.discrepancies
+    ]
     return replace(whole, discrepancies=found, smallest=smallest)
 
 
@@ -144,6 +147,18 @@ def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, 
         f" {names[0]} did, and shows no such change. Simulated at one {driver}, it may have this all the"
         " same."
     )
+
+
+def _noise_put_in(found: Discrepancy, exams: tuple[Examination, Examination], names: tuple[str, str]) -> str:
+    """Say what stood in for white noise that one recording lacks; "" of any other difference."""
+    if found.effect != white_noise.LEVEL:
+        return ""
+    put_in = (
+        name
+        for name, exam in zip(names, exams, strict=True)
+        if any(s.sensor == found.sensor and s.silent and s.steps.sd.any() for s in exam.streams)
+    )
+    return next((f"All else was judged with the noise of a quiet phone put into {n}." for n in put_in), "")
 
 
 def _is_slow_noise(finding: Finding, pairs: Sequence[Difference]) -> bool:

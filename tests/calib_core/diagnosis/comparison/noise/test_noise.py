@@ -159,7 +159,7 @@ def stepped(noise: float, step: float, seed: int) -> Samples:
 
 
 @pytest.mark.parametrize(
-    ("noise", "step", "told"), [(0.0, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False)]
+    ("noise", "step", "told"), [(0.0, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False), (0.0, 0.0, True)]
 )
 def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
     noise: float, step: float, told: bool
@@ -169,7 +169,9 @@ def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
     recorded, simulated = (side.get((LEVEL, "accel")) for side in of_both(exams))
     assert recorded is not None and not recorded.none
     assert (simulated is not None and simulated.none) == told
-    lacking = [(d.effect, d.relation) for d in compare(*exams, ("rec", "sim")).discrepancies]
-    assert ((LEVEL, "lacking") in lacking) == told
+    found = compare(*exams, ("rec", "sim")).discrepancies
+    assert ((LEVEL, "lacking") in [(d.effect, d.relation) for d in found]) == told
+    put_in = "All else was judged with the noise of a quiet phone put into sim."
+    assert (put_in in [d.note for d in found if d.effect == LEVEL]) == (not step and not noise)
     if not noise and not told:
         assert simulated is None and why_no_density(exams[1].streams[0]).endswith("steps that hide the noise")
