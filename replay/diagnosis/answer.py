@@ -282,6 +282,7 @@ def _held_out(finding: Finding) -> dict[str, Any]:
     evidence = finding.evidence
     out = {
         "heldout_log_score_gain": evidence.heldout_log_score_gain,
+        "heldout_gain_in_one_noise": evidence.heldout_gain_in_one_noise,
         "heldout_rmse_before": evidence.heldout_rmse_before,
         "heldout_rmse_after": evidence.heldout_rmse_after,
         "folds": evidence.folds or None,

@@ -38,19 +38,29 @@ SHAPES = 6
 """Covariance shapes of a view that each fold chooses from: the likeliest ones of the whole recording."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """Of each part of the views, the covariance shape (n, n) which a fold's other bins choose; its scale."""
+
+    shapes: Sequence[Array]
+    scales: Sequence[float]
+
+
 @dataclass(frozen=True, slots=True)
 class HeldOut:
     """What all folds say. log_score: nats; missed: (n,) left-out bins less the mean model, in view units.
 
     leverage: (n,) variance of that model there, as a part of the variance of the bin's white noise. training:
     log evidence of each fold's other bins, nats, by which an effect is chosen without what is left out. The
-    tangent view has neither miss nor leverage: where a pose points, other bins do not tell.
+    tangent view has neither miss nor leverage: where a pose points, other bins do not tell. noise: of each
+    fold, that of its other bins.
     """
 
     log_score: float
     missed: Array
     leverage: Array
     training: tuple[float, ...]
+    noise: tuple[Noise, ...]
 
     def rmse(self, under: HeldOut) -> float:
         """Return the rms of the misses, every bin weighing as far as the others tell it.
@@ -72,14 +82,19 @@ def likely_shapes(view: View, reduced: Reduced, residual: Array) -> list[Array]:
 
 
 def held_out(
-    residuals: SensorResiduals, shapes: Sequence[Sequence[Array]], candidates: Sequence[Sequence[Hypothesis]]
+    residuals: SensorResiduals,
+    shapes: Sequence[Sequence[Array]],
+    candidates: Sequence[Sequence[Hypothesis]],
+    noise: Sequence[Noise] = (),
 ) -> HeldOut:
     """Predict each fold from the others.
 
     shapes: for each view, the covariances (n, n) to choose from. candidates: sets of effects, one of which
-    is true, such as one effect at several grid points beside others.
+    is true, such as one effect at several grid points beside others. noise: of each fold, that which another
+    model has, to be judged in; by default each chooses its own of the `shapes`.
     """
     score, missed, leverage, training = 0.0, [np.zeros(0)], [np.zeros(0)], []
+    used: list[Noise] = []
     shared = [] if residuals.shared is None else [residuals.shared]
     parts = [
         [
@@ -90,18 +105,23 @@ def held_out(
         for effects in candidates
     ]
     own = [effects[0].sizes.size if effects else 0 for effects in candidates]
-    of_part = [shapes[i] for i, view in enumerate(residuals.views) for _ in range(len(view.y))]
+    of_part = [] if noise else [shapes[i] for i, view in enumerate(residuals.views) for _ in view.y]
     fold = [_dealt(p.view.t, *residuals.bins.span) for p in parts[0]]
     for k in range(FOLDS):
         rows = [f != k for f in fold]
         if all(r.all() for r in rows):
             continue
-        # Shapes are chosen under the first candidate; grid points are weighed under these.
-        chosen = [
-            _likeliest(p, r, choice, own[0]) for p, r, choice in zip(parts[0], rows, of_part, strict=True)
-        ]
+        scales: Sequence[float | None] = [None] * len(rows)
+        if noise:
+            chosen, scales = noise[len(used)].shapes, noise[len(used)].scales
+        else:
+            # Shapes are chosen under the first candidate; grid points are weighed under these.
+            chosen = [
+                _likeliest(p, r, choice, own[0]) for p, r, choice in zip(parts[0], rows, of_part, strict=True)
+            ]
         factors = [_factor(shape, r) for shape, r in zip(chosen, rows, strict=True)]
-        known = [_known(each, rows, factors, count) for each, count in zip(parts, own, strict=True)]
+        known = [_known(each, rows, factors, scales, count) for each, count in zip(parts, own, strict=True)]
+        used.append(Noise(chosen, [s.scale for s in known[0][2]]))
         values = np.array([value for value, _, _ in known])
         training.append(float(values.max()))
         whole = [_factor(shape, np.ones_like(r)) for shape, r in zip(chosen, rows, strict=True)]
@@ -118,14 +138,19 @@ def held_out(
                 ]
                 missed.append(weights @ np.array([away for away, _ in told]))
                 leverage.append(weights @ np.array([more for _, more in told]))
-    return HeldOut(score, np.concatenate(missed), np.concatenate(leverage), tuple(training))
+    return HeldOut(score, np.concatenate(missed), np.concatenate(leverage), tuple(training), tuple(used))
 
 
 def _known(
-    parts: Sequence[_Part], rows: Sequence[NDArray[np.bool_]], factors: Sequence[Array], own: int
+    parts: Sequence[_Part],
+    rows: Sequence[NDArray[np.bool_]],
+    factors: Sequence[Array],
+    scales: Sequence[float | None],
+    own: int,
 ) -> tuple[float, Array, list[_Sums]]:
     """Return the log evidence of the bins `rows`, the effects' mean sizes, and the bins' sums."""
-    sums = [p.sums(r, factor) for p, r, factor in zip(parts, rows, factors, strict=True)]
+    every = zip(parts, rows, factors, scales, strict=True)
+    sums = [p.sums(r, factor, scale) for p, r, factor, scale in every]
     return (*_evidence(sums, own), sums)
 
 

@@ -59,15 +59,17 @@ class Where:
 class Evidence:
     """How sure. log_bayes_factor: nats for the effect against none; rmse in the sensor's unit.
 
-    heldout_log_score_gain: nats, of what was left out in `folds` folds. named_in_folds: in how many of them
-    the effect would have been chosen before its rivals without what is left out. What has no meaning for an
-    effect is None: nothing is predicted of an effect that is certain by counting.
+    heldout_log_score_gain: nats, of what was left out in `folds` folds; heldout_gain_in_one_noise: nats, the
+    same with the effect's noise in both models, None where these have no noise of their own. named_in_folds:
+    in how many folds the effect would have been chosen before its rivals without what is left out. What has
+    no meaning for an effect is None: nothing is predicted of an effect that is certain by counting.
     """
 
     log_bayes_factor: float
     heldout_rmse_before: float | None = None
     heldout_rmse_after: float | None = None
     heldout_log_score_gain: float | None = None
+    heldout_gain_in_one_noise: float | None = None
     folds: int = 0
     named_in_folds: int | None = None
 
@@ -76,10 +78,13 @@ class Evidence:
         """Whether what was left out of the fit is predicted no better with the effect than without it.
 
         That is, if it is no likelier or plainly farther from what is predicted: a score in which the noise is
-        fitted anew may rise though an effect misses, for it then has larger noise to miss with.
+        fitted anew may rise though an effect misses, for it then has larger noise to miss with. In one noise
+        the score says which is farther; of noise that wanders the rms says little, for neighbours miss alike.
         """
         if self.heldout_log_score_gain is None:
             return False
+        if self.heldout_gain_in_one_noise is not None:
+            return min(self.heldout_log_score_gain, self.heldout_gain_in_one_noise) <= 0.0
         before, after = self.heldout_rmse_before or 0.0, self.heldout_rmse_after or 0.0
         return self.heldout_log_score_gain <= 0.0 or after > FARTHER * before
 

@@ -107,7 +107,7 @@ def _not_sized(
         return _without(steps, nothing_left[-1])
     unsized = [s for s, e in pairs if _unsized(e)]
     if unsized:
-        return _unnamed(steps, unsized[-1])
+        return _perhaps_named(steps, unsized[-1])
     to_and_fro = _to_and_fro(estimates)
     return _as_one(steps, to_and_fro) if to_and_fro else None
 
@@ -281,6 +281,15 @@ def _unsupported(steps: Sequence[Step], weak: Step, among_others: Finding | None
 def _unnamed(steps: Sequence[Step], one: Step) -> list[Step]:
     """Return the steps with the name of one taken off."""
     return [without_name(s) if s.winner.fit is one.winner.fit else s for s in steps]
+
+
+def _perhaps_named(steps: Sequence[Step], one: Step) -> list[Step]:
+    """Return the steps with the name of one among its rivals: it fits, and its sizes are not known."""
+    rivals = {id(s): (s.winner, *s.others) for s in steps if s.winner.fit is one.winner.fit}
+    return [
+        replace(s, others=rivals.get(id(old), s.others))
+        for s, old in zip(_unnamed(steps, one), steps, strict=True)
+    ]
 
 
 def _without(steps: Sequence[Step], weak: Step) -> list[Step]:

@@ -46,6 +46,7 @@ def finding(residuals: SensorResiduals, step: Step, found: Estimate, others: Seq
     """State the effect of one step as it was estimated; others: the effects found beside it."""
     own = found.hypothesis
     before, after = _predicted(residuals, None, others), _predicted(residuals, own, others)
+    in_its_noise = held_out(residuals, [], [others], after.noise)
     shown = _shown(step)
     rivals = [(s, _predicted(residuals, s.hypothesis, others)) for s in (*shown, *_best_nameless(step))]
     alternatives = [
@@ -66,6 +67,7 @@ def finding(residuals: SensorResiduals, step: Step, found: Estimate, others: Seq
             heldout_rmse_before=before.rmse(under=after),
             heldout_rmse_after=after.rmse(under=after),
             heldout_log_score_gain=after.log_score - before.log_score,
+            heldout_gain_in_one_noise=after.log_score - in_its_noise.log_score,
             folds=FOLDS,
             named_in_folds=_first_in(residuals, (step.winner, after), rivals),
             log_bayes_factor=max(evidence_of(residuals, h, others) for h in (own, *likely)),

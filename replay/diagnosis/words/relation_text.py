@@ -191,7 +191,12 @@ def _together(finding: Mapping[str, Any]) -> str:
 def _undistinguished(finding: Mapping[str, Any]) -> str:
     """Return which other effects would look the same in this recording; "" where none would."""
     alike = [noun(a["effect"], finding["sensor"]) for a in finding["alternatives"] if a["indistinguishable"]]
-    return f" This recording cannot tell it from: {', or '.join(alike)}." if alike else ""
+    if not alike:
+        return ""
+    told = f"this recording cannot tell it from: {', or '.join(alike)}."
+    if finding["effect"] == "unknown":
+        return f" It may have a name all the same: {told}"
+    return f" {capital(told)}"
 
 
 def _exchanged(finding: Mapping[str, Any]) -> str:

@@ -121,8 +121,8 @@ def test_leverage_is_the_variance_of_the_model_that_the_other_bins_tell() -> Non
 
 def test_a_bin_that_the_others_do_not_tell_weighs_nothing() -> None:
     sure, unsure = np.zeros(20), np.where(np.arange(20) == 7, 1e6, 0.0)
-    before = HeldOut(0.0, np.where(np.arange(20) == 7, 50.0, 3.0), sure, ())
-    after = HeldOut(9.0, np.where(np.arange(20) == 7, 200.0, 1.0), unsure, ())
+    before = HeldOut(0.0, np.where(np.arange(20) == 7, 50.0, 3.0), sure, (), ())
+    after = HeldOut(9.0, np.where(np.arange(20) == 7, 200.0, 1.0), unsure, (), ())
     assert rms(after.missed) > 3.0 * rms(before.missed)
     assert after.rmse(under=after) == pytest.approx(1.0, rel=0.01)
     assert before.rmse(under=after) == pytest.approx(3.0, rel=0.01)
@@ -136,6 +136,20 @@ def test_an_effect_that_is_there_leaves_little_more_than_noise() -> None:
     assert with_it.missed.size == residuals.views[0].y.size, "where a pose points, others do not tell"
     assert with_it.rmse(under=with_it) < 2.0 * noise
     assert with_it.rmse(under=with_it) < 0.5 * without.rmse(under=with_it)
+
+
+def test_in_the_noise_of_another_model_a_model_is_judged_by_its_misses_alone() -> None:
+    residuals, ramp = hour()
+    with_it = held_out(residuals, shapes(residuals), [[ramp]])
+    again = held_out(residuals, [], [[ramp]], with_it.noise)
+    assert again.log_score == pytest.approx(with_it.log_score)
+    without, in_its_noise = (
+        held_out(residuals, chosen, [[]], noise)
+        for chosen, noise in ((shapes(residuals), ()), ([], with_it.noise))
+    )
+    assert in_its_noise.log_score < without.log_score - 20.0, (
+        "its own noise is larger, and allows for the ramp"
+    )
 
 
 def test_every_fold_chooses_its_own_shape_and_grid_point() -> None:
