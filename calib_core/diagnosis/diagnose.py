@@ -206,7 +206,8 @@ def _with_motion(
     gravity = exam.claims.gravity
     most = min(limits_of("gyro_saturation", direct), default=np.inf)
     rates = OffRates.of(known, exam.accelerometer, bare, gravity)
-    turned = partial(_turned, exam.gyroscope, bare, gravity, most, unsteady=_unsteady(exam, exam.gyroscope))
+    unsteady = _unsteady(exam, exam.gyroscope)
+    turned = partial(_turned, repeats.without_held(exam.gyroscope), bare, gravity, most, unsteady=unsteady)
     turns = None
     if len(exam.bins):
         affine, turns = turned(rates)

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.segments.value_grid import least_change
 from stillcal.calib_core.maths.robust import bulk
 from stillcal.calib_core.streams.samples import Samples
 
@@ -58,15 +59,38 @@ MANY = 0.05
 """Part of the samples held beyond which spectrum and tails are not judged."""
 
 
+NEAR = 2.5
+"""Steps of an axis up to which a value is near another: one or two of them."""
+
+
+def repeating(xyz: Array) -> NDArray[np.bool_]:
+    """Return which rows (n, 3) repeat the one before on all axes."""
+    return np.concatenate([[False], (np.diff(xyz, axis=0) == 0.0).all(axis=1)])
+
+
 def without_doubles(samples: Samples) -> tuple[Samples, int]:
     """Return a stream without samples that have stamp and values of the one before.
 
     And how many there were.
     """
-    same = (np.diff(samples.t) == 0.0) & (np.diff(samples.xyz, axis=0) == 0.0).all(axis=1)
-    if not same.any():
-        return samples, 0
-    return samples.where(np.concatenate([[True], ~same])), int(same.sum())
+    same = repeating(samples.xyz)
+    same[1:] &= np.diff(samples.t) == 0.0
+    return (samples.where(~same), int(same.sum())) if same.any() else (samples, 0)
+
+
+def without_held(samples: Samples) -> Samples:
+    """Return a stream without samples that repeat the one before though the values go on from there.
+
+    They do where the next other value is more than two steps away; what coarse steps repeat stays.
+    """
+    again = repeating(samples.xyz)
+    if not again.any():
+        return samples
+    other = np.append(np.flatnonzero(~again), len(samples) - 1)
+    after = other[np.searchsorted(other[:-1], np.arange(len(samples)), side="right")]
+    step = np.array([least_change(axis) for axis in samples.xyz.T])
+    goes_on = np.abs(samples.xyz[after] - samples.xyz) > NEAR * step
+    return samples.where(~(again & goes_on.any(axis=1)))
 
 
 def doubled(samples: Samples, count: int, once: float) -> Finding | None:

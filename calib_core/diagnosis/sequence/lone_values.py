@@ -3,7 +3,8 @@
 One value that is off by e leaves a pattern of five residuals: e times (1, -4, 6, -4, 1) / 6. A hand, a knock
 or a vibration that is quicker than samples are leaves others about it too. So a value counts where the
 pattern is all that stands out: without it, what is left of the five is what motion leaves about them, and so
-it is on the other axes. Noise at rest has tests of its own.
+it is on the other axes. Noise at rest has tests of its own, and so has a sample that repeats the one before
+(`direct.repeated_values`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.direct.repeated_values import repeating
 from stillcal.calib_core.diagnosis.model.measurement import (
     DirectEvidence,
     Index,
@@ -51,7 +53,8 @@ def lone_values(samples: Samples, sensor: str, still: NDArray[np.bool_]) -> Find
     if moving < FEWEST:
         return None
     left = residual(samples.xyz)
-    found = [_beyond_steps(*_lone(left, still, axis), samples.xyz[:, axis]) for axis in range(3)]
+    known = still | repeating(samples.xyz)
+    found = [_beyond_steps(*_lone(left, known, axis), samples.xyz[:, axis]) for axis in range(3)]
     rows = np.unique(np.concatenate([at for at, _ in found]))
     if not rows.size:
         return None
@@ -69,12 +72,15 @@ def lone_values(samples: Samples, sensor: str, still: NDArray[np.bool_]) -> Find
     return direct_finding("unknown", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
-def _lone(left: Array, still: NDArray[np.bool_], axis: int) -> tuple[Index, Array]:
-    """Return which samples (k,) stand alone on an axis, and by how much (k,) they are off."""
+def _lone(left: Array, known: NDArray[np.bool_], axis: int) -> tuple[Index, Array]:
+    """Return which samples (k,) stand alone on an axis, and by how much (k,) they are off.
+
+    known: (n,) which samples are not asked for.
+    """
     usual = spread(left)
     own = np.abs(left[:, axis])
     reach = int(AROUND[-1])
-    at = np.flatnonzero((own > FAR * 0.5 * usual[axis]) & ~still[REACH:-REACH])
+    at = np.flatnonzero((own > FAR * 0.5 * usual[axis]) & ~known[REACH:-REACH])
     at = at[(at >= reach) & (at < len(left) - reach)]
     pattern = np.arange(-REACH, REACH + 1)
     five = left[at[:, None] + pattern, axis]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.direct.repeated_values import at_limits
+from stillcal.calib_core.diagnosis.direct.repeated_values import NEAR, at_limits, repeating
 from stillcal.calib_core.diagnosis.model.measurement import (
     DirectEvidence,
     Index,
@@ -114,8 +114,7 @@ def repeated(xyz: Array) -> list[Stretch]:
 
     Rows that repeat the one before are held and count for nothing.
     """
-    fresh = np.concatenate([[True], (np.diff(xyz, axis=0) != 0.0).any(axis=1)])
-    rows = np.flatnonzero(fresh)
+    rows = np.flatnonzero(~repeating(xyz))
     if rows.size <= SHORTEST:
         return []
     code = _hashed(xyz[rows])
@@ -197,5 +196,5 @@ def stays(xyz: Array, axis: int, free: Flags) -> tuple[Index, float, float]:
     alone = (change != 0.0).any(axis=1) & free[inner] & amid[REACH - 2 : 1 - REACH]
     due = np.flatnonzero(alone & (np.abs(change[:, axis] - left) > SURE * unit))
     moved = np.abs(change[due, axis])
-    near = float(((moved > 0.0) & (moved < 2.5 * step)).sum())
+    near = float(((moved > 0.0) & (moved < NEAR * step)).sum())
     return due[moved == 0.0] + REACH, float(moved.size), min((near + 1.0) / 4.0 / max(moved.size, 1), 0.5)

@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, doubled, held
+from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, doubled, held, without_held
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -126,3 +126,14 @@ def test_it_is_the_same_whether_the_reader_left_them_out_or_not(*, removed: bool
     found = [s.finding for s in exam.statements if s.finding.where.driver == TWICE]
     assert [f.parameters["fraction"].value for f in found] == pytest.approx([100 / 10_100])
     assert len(exam.accelerometer) == 10_000
+
+
+@pytest.mark.parametrize(("step", "left_out"), [(1e-6, True), (0.1, False)])
+def test_samples_are_held_where_values_go_on_from_there(step: float, left_out: bool) -> None:
+    """What coarse steps repeat is no less true: without it they would have another mean."""
+    t = np.arange(400) * 0.02
+    rate = np.column_stack([np.sin(t), np.cos(t), np.zeros(t.size)])
+    rate[50::10] = rate[49:-1:10]
+    rate = step * np.rint(rate / step)
+    kept = without_held(Samples.checked(Sensor.GYROSCOPE, t, rate))
+    assert len(kept) == t.size - 35 * left_out

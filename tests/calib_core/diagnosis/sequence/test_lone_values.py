@@ -42,7 +42,7 @@ def test_a_byte_that_is_torn_in_motion_is_found() -> None:
     assert found(t, LSB * code) == [DRIVER]
 
 
-@pytest.mark.parametrize("kind", ["turned", "knocked", "struck", "shaken", "twice", "coarse"])
+@pytest.mark.parametrize("kind", ["turned", "knocked", "struck", "shaken", "twice", "coarse", "held"])
 def test_sound_motion_is_silent(kind: str) -> None:
     rng = np.random.default_rng(2)
     t, code = turned(rng)
@@ -62,4 +62,7 @@ def test_sound_motion_is_silent(kind: str) -> None:
         rate[[2700, 6630], 0] += 0.5
     elif kind == "coarse":
         rate = 0.05 * np.rint(rate / 0.05)
+    elif kind == "held":  # which has a name; about one axis, as a jig turns
+        fresh = np.where(rng.random(t.size) < 0.1, 0, np.arange(t.size))
+        rate = (rate * [1.0, 0.01, 0.01] + 1e-3 * rng.normal(size=rate.shape))[np.maximum.accumulate(fresh)]
     assert found(t, rate) == []

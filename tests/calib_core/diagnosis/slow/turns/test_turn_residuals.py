@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Finding
@@ -261,6 +261,19 @@ def test_what_stamps_that_jitter_do_to_turns_is_in_their_noise() -> None:
         added = np.sqrt(jittered - known_variances(made, bins))
         np.testing.assert_allclose(added, told[-len(made.turns) :], rtol=1e-6)
     assert 0.8 < np.sqrt(np.mean(np.square(np.array(off) / np.array(told)[:, None]))) < 1.25
+
+
+def test_samples_that_are_held_are_left_out_of_turns() -> None:
+    """A gain of one axis that grows with time, and a nonlinearity, were made of them."""
+    force, spin, _ = day(3, 20)
+    fresh = np.where(np.random.default_rng(0).random(len(spin)) < 0.1, 0, np.arange(len(spin)))
+    held = replace(spin, xyz=frozen(spin.xyz[np.maximum.accumulate(fresh)]))
+    sizes = []
+    for gyroscope in (spin, held):
+        turns = examine(force, gyroscope, sought=()).turns
+        assert turns is not None
+        sizes.append(np.abs(_unforeseen(turns.views[0])).mean())
+    assert sizes[1] < 1.3 * sizes[0]
 
 
 @pytest.mark.parametrize(("density", "low", "high"), [(0.0, 0.0, 1e-3), (3e-3, 0.015, 0.06)])
