@@ -59,12 +59,12 @@ def test_where_neither_has_one_nothing_is_told() -> None:
     assert said.discrepancies == [] and KEY not in {(n.effect, n.sensor) for n in said.not_compared}
 
 
-def held(share: float, seed: int) -> Examination:
-    """Return a minute of still samples of which a share repeats the one before."""
+def held(share: float, seed: int, rate: float = RATE) -> Examination:
+    """Return 6000 still samples of which a share repeats the one before."""
     rng = np.random.default_rng(seed)
     xyz = rng.normal([0.0, 0.0, 9.80665], 0.02, (6000, 3))
     last = np.maximum.accumulate(np.where(rng.random(6000) < share, 0, np.arange(6000)))
-    return examine(Samples(Sensor.ACCELEROMETER, np.arange(6000) / RATE, xyz[last]), None, sought=())
+    return examine(Samples(Sensor.ACCELEROMETER, np.arange(6000) / rate, xyz[last]), None, sought=())
 
 
 @pytest.mark.parametrize(("recorded", "simulated"), [(0.2, 0.0), (0.0, 0.2), (0.2, 0.2)])
@@ -80,6 +80,13 @@ def test_what_repeated_values_do_to_the_spectrum_is_no_noise_and_no_low_pass(
     for effect in ("noise_level", "bandwidth"):
         assert (effect in whys) == (not alike)
         assert alike or "repeat the one before" in whys[effect]
+
+
+def test_the_low_pass_of_repeated_values_is_compared_at_one_rate_only() -> None:
+    """A simulation with as many, at twice the rate, had a cutoff that was "too large"."""
+    said = compare_samples((held(0.2, 1), held(0.2, 2, 2.0 * RATE)), ("rec", "sim"))
+    assert "bandwidth" not in {d.effect for d in said.discrepancies}
+    assert "repeat the one before" in {n.effect: n.reason for n in said.not_compared}["bandwidth"]
 
 
 def test_the_noise_of_repeated_values_is_not_said_to_be_looked_at() -> None:
