@@ -10,11 +10,16 @@ def driver_of(column: str) -> str:
     return COLUMN + column
 
 
+def column_of(driver: str) -> str | None:
+    """Return the logged column that an effect with this driver follows; None where it is none."""
+    return driver.removeprefix(COLUMN) if driver.startswith(COLUMN) else None
+
+
 def follows_time(driver: str) -> bool:
     """Whether an effect with this driver needs to know when a rest was."""
-    return not driver.startswith(COLUMN) and ("time" in driver or driver.startswith("charging"))
+    return column_of(driver) is None and ("time" in driver or driver.startswith("charging"))
 
 
 def follows_temperature(driver: str) -> bool:
     """Whether an effect with this driver needs a thermometer."""
-    return not driver.startswith(COLUMN) and "temperature" in driver
+    return column_of(driver) is None and "temperature" in driver

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
+from stillcal.calib_core.diagnosis.effects.followed import column_of
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE
@@ -151,11 +152,13 @@ def _at_temperature(finding: Mapping[str, Any]) -> str:
 
 
 def _without_effect(finding: Mapping[str, Any]) -> str:
-    """Return at which temperature an effect of temperature adds nothing; "" for any other."""
-    at = finding.get("reference", {}).get("temperature_c")
-    if at is None or not finding["effect"].endswith("_temperature"):
+    """Return where an effect of temperature or of a logged column adds nothing; "" for any other."""
+    at = finding.get("reference", {})
+    if at and (column := column_of(finding["where"]["driver"])) in at:
+        return f" It adds nothing where {column} is {at[column]:.4g}."
+    if "temperature_c" not in at or not finding["effect"].endswith("_temperature"):
         return ""
-    return f" It adds nothing at {at:.1f} °C."
+    return f" It adds nothing at {at['temperature_c']:.1f} °C."
 
 
 def _when_settled(finding: Mapping[str, Any]) -> str:

@@ -10,6 +10,7 @@ import pytest
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.described import DESCRIBED
+from stillcal.calib_core.diagnosis.effects.followed import driver_of
 from stillcal.calib_core.diagnosis.model.records import NAME as SENSORS
 from stillcal.calib_core.diagnosis.model.records import (
     Departure,
@@ -178,6 +179,7 @@ def test_a_bias_names_the_temperature_that_it_holds_at() -> None:
         "axes": ["x"],
         "relation": "lacking",
         "alternatives": [],
+        "where": {"driver": "nothing"},
         "parameters": {"bias": {"value": [0.1, 0.0, 0.0], "unit": "m/s^2"}},
         "simulated": {},
         "difference": {},
@@ -190,6 +192,14 @@ def test_a_bias_names_the_temperature_that_it_holds_at() -> None:
         "parameters": {"slope": {"value": [0.1] * 3, "unit": "mg/K"}},
     }
     assert "It adds nothing at 31.2 °C." in statement(warm | slope, ("real.csv", "sim.csv"))
+    of_column = {
+        "effect": "accel_bias_load",
+        "where": {"driver": driver_of("load")},
+        "reference": {"load": 0.512345},
+    }
+    assert "It adds nothing where load is 0.5123." in statement(
+        warm | slope | of_column, ("real.csv", "sim.csv")
+    )
 
 
 def test_a_step_says_when_it_comes() -> None:
