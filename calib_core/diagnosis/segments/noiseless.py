@@ -27,6 +27,9 @@ FAINT = 0.01
 QUIET = 0.2
 """Part of the seconds that are taken to be at rest at least, where an effect changes least."""
 
+STRETCH, STRETCHES = 20.0, 30
+"""s of a stretch in which a sensor's own noise is looked for, and how many there are."""
+
 
 def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | None:
     """Return samples and the windows of all of them with white noise; None where the sensor has its own.
@@ -39,7 +42,7 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
         return None
     moving = np.ptp(samples.xyz, axis=0) > 0.0
     axes, sd = np.flatnonzero(moving), QUIETEST[samples.sensor] * np.sqrt(0.5 / period) * moving
-    if not axes.size or (_own(samples) > FAINT * sd)[axes].any():
+    if not axes.size or (_own(samples, period) > FAINT * sd)[axes].any():
         return None
     if any((comb_step(samples.xyz[:, axis]) or 0.0) > sd[axis] for axis in axes):
         return None
@@ -50,15 +53,24 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
     return replace(samples, xyz=frozen(samples.xyz + sd * rng.normal(size=samples.xyz.shape))), made
 
 
-def _own(samples: Samples) -> Array:
+def _own(samples: Samples, period: float) -> Array:
     """Return the standard deviation (3,) of samples at rest about a line, infinite where none are.
 
-    Second differences of white noise have six times its variance.
+    Second differences of white noise have six times its variance. Stretches of a long recording tell it.
     """
-    bent = replace(samples[1:-1], xyz=np.diff(samples.xyz, n=2, axis=0)) if len(samples) > 2 else samples
-    seen = windows(bent, float(samples.t[0]), float(samples.t[-1]))
-    square = (seen.variance + seen.mean**2)[seen.count >= FEWEST_SAMPLES]
+    size = max(round(STRETCH / period), 3)
+    starts = np.unique(np.linspace(0, max(len(samples) - size, 0), STRETCHES).astype(np.int64))
+    square = np.concatenate([_bends(samples[int(k) : int(k) + size]) for k in starts])
     return np.sqrt(np.quantile(square, QUIET, axis=0) / 6.0) if len(square) else np.full(3, np.inf)
+
+
+def _bends(samples: Samples) -> Array:
+    """Return the mean square (s, 3) of second differences in each second of a stretch."""
+    if len(samples) < 3:
+        return np.empty((0, 3))
+    bent = replace(samples[1:-1], xyz=np.diff(samples.xyz, n=2, axis=0))
+    seen = windows(bent, float(bent.t[0]), float(bent.t[-1]))
+    return (seen.variance + seen.mean**2)[seen.count >= FEWEST_SAMPLES]
 
 
 def audible(

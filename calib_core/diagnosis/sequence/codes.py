@@ -117,8 +117,10 @@ def lattice(code: Index) -> Repeats | None:
     noise, found = float(spread(left[:, None])[0]), []
     for bit in range(BITS_OFF[0], BITS_OFF[1] + 1):
         period = float(2**bit)
+        if period < CLEAR * noise:
+            continue
         far = left[_single(np.abs(left) > period / 2.0)]
-        if period < CLEAR * noise or far.size < FEWEST_FAR:
+        if far.size < FEWEST_FAR:
             continue
         waves = float(np.cos(2.0 * np.pi * far / period).sum())
         sigmas = max(waves, 0.0) / np.sqrt(0.5 * ALIKE * far.size)

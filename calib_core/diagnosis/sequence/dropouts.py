@@ -114,13 +114,18 @@ def _beside_neighbours(value: Array, count: Index, near: float) -> Array:
     """
     first = np.searchsorted(value, value - near, side="left")
     last = np.searchsorted(value, value + near, side="right")
-    others = [
-        max(count[a:i].max(initial=0), count[i + 1 : b].max(initial=0))
-        for i, (a, b) in enumerate(zip(first, last, strict=True))
-    ]
+    own = np.arange(len(value))
+    others = np.maximum(_highest(count, first, own), _highest(count, own + 1, last))
     usual = np.maximum(others, 1.0 / (2.0 * NEAR))
     nats = count * np.log(np.maximum(count / usual, 1.0)) - np.maximum(count - usual, 0.0)
     return np.asarray(nats - np.log(len(value)))
+
+
+def _highest(count: Index, first: Index, last: Index) -> Index:
+    """Return the largest of counts (v,) from each `first` to before each `last`, 0 where there are none."""
+    ends = np.column_stack([first, last]).ravel()
+    largest = np.maximum.reduceat(np.append(count, 0), ends)[::2]
+    return np.asarray(np.where(first < last, largest, 0))
 
 
 def dropouts(samples: Samples, sensor: str) -> tuple[Finding | None, Flags]:
