@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import linear_quantities
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, subtract
 from stillcal.calib_core.diagnosis.direct.axis_exchange import exchanges
 from stillcal.calib_core.diagnosis.examination import Examination

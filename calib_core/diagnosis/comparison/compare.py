@@ -22,11 +22,15 @@ from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import (
 )
 from stillcal.calib_core.diagnosis.comparison.coverage.why_not_compared import why_not_compared
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
-from stillcal.calib_core.diagnosis.comparison.linear import (
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear.reference_point import (
+    mean_temperatures,
+    where_both_agree,
+)
+from stillcal.calib_core.diagnosis.comparison.linear.shifts import hidden_shifts
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import (
     Wanted,
-    hidden_shifts,
     kind_of,
-    linear_quantities,
     proposed,
     settled,
     wanted_of,
@@ -40,7 +44,6 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
     weighed,
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
-from stillcal.calib_core.diagnosis.comparison.reference_point import mean_temperatures, where_both_agree
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
@@ -69,8 +72,8 @@ class _Asked:
     @property
     def of_simulation(self) -> list[Wanted]:
         """What the simulation can show: all but what it did not log the driver of."""
-        keys = {(m.effect.name, m.effect.sensor) for m in self.unlogged[1]}
-        return [w for w in self.wanted if (w.hypothesis.effect.name, w.hypothesis.effect.sensor) not in keys]
+        keys = {m.effect.key for m in self.unlogged[1]}
+        return [w for w in self.wanted if w.hypothesis.effect.key not in keys]
 
 
 def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
@@ -96,7 +99,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
         names,
         among=among,
         checks=among + len(neither),
-        had={(w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in asked.wanted},
+        had={w.hypothesis.effect.key for w in asked.wanted},
     )
     found = [
         replace(d, note=_assumed(d, asked.steady, names) or _noise_put_in(d, exams, names))
@@ -138,7 +141,7 @@ def _foretells(name: Alternative, found: Finding) -> bool:
 
 def _assumed(found: Discrepancy, steady: Sequence[NotLogged], names: tuple[str, str]) -> str:
     """Say of an effect that the simulation did not log what drives it; "" of any other difference."""
-    own = [m for m in steady if (m.effect.name, m.effect.sensor) == (found.effect, found.sensor)]
+    own = [m for m in steady if m.effect.key == (found.effect, found.sensor)]
     if not own:
         return ""
     driver = own[0].effect.column if isinstance(own[0].effect, CovariateBias) else "temperature"
@@ -255,9 +258,9 @@ def _union(one: Sequence[Wanted], other: Sequence[Wanted]) -> list[Wanted]:
     """Return the effects of both, each once, with the most parameters; the recording's grid goes first."""
     out: dict[tuple[str, str, str], Wanted] = {}
     for wanted in (*one, *other):
-        known = out.setdefault(wanted.key, wanted)
+        known = out.setdefault(wanted.identity, wanted)
         if len(wanted.hypothesis.effect.parameters) > len(known.hypothesis.effect.parameters):
-            out[wanted.key] = wanted
+            out[wanted.identity] = wanted
     return list(out.values())
 
 
@@ -286,4 +289,4 @@ def _expected(recorded: Examination, simulated: Examination, wanted: Sequence[Wa
         keys += [(effect, "gyro") for effect in (*GYROSCOPE_ONLY, "noise_level")]
     if not (recorded.is_table or simulated.is_table):
         keys.append((DELAY, "timing"))
-    return [*keys, *((w.hypothesis.effect.name, w.hypothesis.effect.sensor) for w in wanted)]
+    return [*keys, *(w.hypothesis.effect.key for w in wanted)]

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
-from stillcal.calib_core.diagnosis.comparison.linear import transferable
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import transferable
 from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Key, Part, Quantity
 from stillcal.calib_core.diagnosis.direct import quantities, smallest
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
@@ -122,11 +123,16 @@ def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple
     return out
 
 
-def stamps_as_compared(samples: Samples) -> tuple[float, float, float]:
-    """Return the scatter of stamps, s, and the shares of samples that arrive in bursts and that are missing.
+class StampFaults(NamedTuple):
+    """Scatter of stamps, s, and the shares of samples that arrive in bursts and that are missing."""
 
-    0 where stamps and arrivals show none, and where stamps come in bursts.
-    """
+    jitter_s: float
+    bursts: float
+    missing: float
+
+
+def stamps_as_compared(samples: Samples) -> StampFaults:
+    """Return what stamps and arrivals show: 0 for none, and where stamps come in bursts."""
     measured, out = quantities.of_stamps(samples), []
     for effect, floor, unit, least in (
         ("timestamp_jitter", LEAST_JITTER, sample_period(samples.t), LEAST_SIGMA),
@@ -135,7 +141,7 @@ def stamps_as_compared(samples: Samples) -> tuple[float, float, float]:
     ):
         value = _linear(measured[effect], floor, unit).value if effect in measured else 0.0
         out.append(value if value > least else 0.0)
-    return out[0], out[1], out[2]
+    return StampFaults(*out)
 
 
 LEAST_SHARE, LEAST_SIGMA = 1e-4, 1e-6

@@ -14,7 +14,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import checks_of, slow_checks
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Sought, each_once, sought
 from stillcal.calib_core.diagnosis.comparison.direct import measured_directly, smallest_direct
-from stillcal.calib_core.diagnosis.comparison.linear import ALIKE_SCALE
+from stillcal.calib_core.diagnosis.comparison.linear.constants import ALIKE_SCALE
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import density
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, Relation, posterior
 from stillcal.calib_core.diagnosis.comparison.records import (

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
-from stillcal.calib_core.diagnosis.comparison.linear import kind_of, proposed, wanted_of
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import kind_of, proposed, wanted_of
 from stillcal.calib_core.diagnosis.effects.followed import follows_time
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
@@ -58,7 +58,9 @@ def _named(exam: Examination, residuals: SensorResiduals, other: Examination) ->
     """Return the effects that a recording has, and those of another by name, as these residuals have them."""
     found = [s.hypothesis for s in exam.statements if s.residuals is residuals and s.hypothesis is not None]
     names = {h.effect.name for h in found}
-    asked = [w for w in wanted_of(other) if w.kind == kind_of(residuals) and w.key[1] not in names]
+    asked = [
+        w for w in wanted_of(other) if w.kind == kind_of(residuals) and w.hypothesis.effect.name not in names
+    ]
     return [*found, *(h for w in asked if (h := proposed(residuals, w)) is not None)]
 
 

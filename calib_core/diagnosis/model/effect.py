@@ -99,6 +99,11 @@ class Effect:
     rough: float = 0.0
     blind: tuple[str, ...] = ()
 
+    @property
+    def key(self) -> tuple[str, str]:
+        """Name and sensor, by which comparisons know it."""
+        return self.name, self.sensor
+
     def called(self) -> str:
         """Return the noun; for an effect without one, words made of its driver."""
         return self.noun or f"effect of {self.follows} on the {NAME[self.sensor]}"

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear
@@ -175,3 +177,9 @@ def together(residuals: SensorResiduals, hypotheses: Sequence[Hypothesis]) -> Hy
     columns = zip(*(h.columns for h in hypotheses), strict=True)
     every = tuple(np.concatenate(c, axis=2) for c in columns)
     return Hypothesis(Parameters("all", residuals.sensor, parameters), {}, every)
+
+
+def rows_of(hypotheses: Sequence[Hypothesis]) -> list[NDArray[np.int64]]:
+    """Return which numbers of a joint fit belong to each of the hypotheses."""
+    ends = np.cumsum([0, *(h.sizes.size for h in hypotheses)])
+    return [np.arange(a, b) for a, b in pairwise(ends)]

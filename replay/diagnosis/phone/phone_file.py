@@ -78,12 +78,12 @@ def phone_of(
 def _clock(recording: Recording, effects: Sequence[Effect]) -> ClockSettings:
     """Return the stamps' clock, with their scatter, losses and bursts unless effects have these."""
     names = {e.name for e in effects}
-    jitter, bursts, missing = stamps_as_compared(recording.accelerometer)
+    seen = stamps_as_compared(recording.accelerometer)
     return ClockSettings(
         shared=_same_stamps(recording.accelerometer, recording.gyroscope),
-        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{jitter:.4g}"),
-        drop_fraction=0.0 if "dropped_samples" in names else float(f"{missing:.3g}"),
-        burst_fraction=0.0 if "arrival_bursts" in names else float(f"{bursts:.3g}"),
+        jitter_s=0.0 if "timestamp_jitter" in names else float(f"{seen.jitter_s:.4g}"),
+        drop_fraction=0.0 if "dropped_samples" in names else float(f"{seen.missing:.3g}"),
+        burst_fraction=0.0 if "arrival_bursts" in names else float(f"{seen.bursts:.3g}"),
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import excluded
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import not_logged
-from stillcal.calib_core.diagnosis.comparison.linear import wanted_of
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import wanted_of
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded

@@ -14,7 +14,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted, kind_of, linear_quantities, proposed
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted, kind_of, proposed
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias
 from stillcal.calib_core.diagnosis.effects.followed import follows_temperature
@@ -99,7 +100,7 @@ def excluded(
     return [
         m
         for m in assumed
-        if (key := (m.effect.name, m.effect.sensor)) in had
+        if (key := m.effect.key) in had
         and key in shown
         and not shown[key].shows()
         and np.linalg.norm(most[key] / had[key].size) < LESS * np.linalg.norm(had[key].value / had[key].size)
@@ -132,15 +133,15 @@ def _largest(
     An effect of some size leaves residuals as large as it is. What there is of them beyond white noise is the
     largest size that it may have.
     """
-    keys = {(m.effect.name, m.effect.sensor) for m in missing}
+    keys = {m.effect.key for m in missing}
     out: dict[Key, Array] = {}
     for residuals in simulated.with_turns:
         for one in wanted:
             effect = one.hypothesis.effect
             hypothesis = proposed(residuals, one) if one.kind == kind_of(residuals) else None
-            if hypothesis is not None and (effect.name, effect.sensor) in keys:
+            if hypothesis is not None and effect.key in keys:
                 sizes = [_most(residuals, i, hypothesis) for i in _lengthwise(residuals)]
-                out[effect.name, effect.sensor] = np.max(sizes, axis=0)
+                out[effect.key] = np.max(sizes, axis=0)
     return out
 
 

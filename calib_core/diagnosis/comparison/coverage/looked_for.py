@@ -76,7 +76,7 @@ def slow_checks(exam: Examination, found: Sequence[Sought]) -> list[Check]:
 
 def slow_effects(exam: Examination) -> Iterator[tuple[str, str]]:
     """Yield every slow effect with its sensor: the catalogue's, those of columns, a bias that walks."""
-    named = dict.fromkeys((e.name, e.sensor) for e in named_effects())
+    named = dict.fromkeys(e.key for e in named_effects())
     # Where temperature is known, nothing has to stand for it.
     yield from (key for key in named if exam.bins.temperature is None or key[0] != "thermal_latent")
     yield from _of_columns(exam)

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import OF_TIME, why_not_logged
-from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, Wanted, kind_of, moved_rows
+from stillcal.calib_core.diagnosis.comparison.linear.shifts import SHIFTED, moved_rows
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted, kind_of
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import differs, key_of
@@ -111,7 +112,7 @@ def with_unknown_temperature(sides: Sequence[Side], missing: Sequence[Sequence[N
     for side, other, lacking in zip(sides, reversed(sides), missing, strict=True):
         changed = dict(side)
         for one in lacking:
-            slope = other.get((one.effect.name, one.effect.sensor))
+            slope = other.get(one.effect.key)
             if slope is None or one.effect.name not in SHIFTED:
                 continue
             key = (one.effect.name.removesuffix("_temperature"), one.effect.sensor)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.linear import kind_of
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import kind_of
 from stillcal.calib_core.diagnosis.comparison.quantity import INFORMED, Difference
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.followed import follows_time

@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import (
     uninformed,
     why_not_logged,
 )
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted
 from stillcal.calib_core.diagnosis.comparison.noise import slow_noise, white_noise
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -50,7 +50,7 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     """Say why a recording has no such quantity: the first reason that applies."""
     effect, sensor = key
     drivers = [w.hypothesis.effect for w in wanted]
-    unlogged = [why_not_logged(exam, e) for e in drivers if (e.name, e.sensor) == key]
+    unlogged = [why_not_logged(exam, e) for e in drivers if e.key == key]
     streams = [s for s in exam.streams if s.sensor == sensor]
     if effect in (white_noise.LEVEL, white_noise.LOW_PASS):
         return white_noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"

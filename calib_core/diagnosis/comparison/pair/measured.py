@@ -11,23 +11,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.linear import (
-    ALIKE_BIAS,
-    ALIKE_SCALE,
-    BIAS_SHIFTED,
-    RATE_BIAS_SIZE,
-    at_reference,
-    effect_quantity,
-    rows_of,
+from stillcal.calib_core.diagnosis.comparison.linear.constants import ALIKE_BIAS, ALIKE_SCALE, RATE_BIAS_SIZE
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import effect_quantity
+from stillcal.calib_core.diagnosis.comparison.linear.reference_point import (
+    agree,
+    apart,
+    crossing_temperatures,
 )
+from stillcal.calib_core.diagnosis.comparison.linear.shifts import BIAS_SHIFTED, at_reference
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import GAIN_SIZES
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Part, Quantity
-from stillcal.calib_core.diagnosis.comparison.reference_point import agree, apart, crossing_temperatures
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED, Warmup
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
-from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals, together
+from stillcal.calib_core.diagnosis.model.hypothesis import (
+    Hypothesis,
+    Parameters,
+    SensorResiduals,
+    rows_of,
+    together,
+)
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT

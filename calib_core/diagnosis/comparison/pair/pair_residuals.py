@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.linear import MODEL_ERROR
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import MODEL_ERROR
 from stillcal.calib_core.diagnosis.comparison.pair.earth import of_ground
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE

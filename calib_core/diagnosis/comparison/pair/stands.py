@@ -15,13 +15,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import warmed
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity
-from stillcal.calib_core.diagnosis.comparison.linear import (
-    Wanted,
-    every_linear_quantity,
-    kind_of,
-    settled,
-    wanted_of,
-)
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import every_linear_quantity
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted, kind_of, settled, wanted_of
 from stillcal.calib_core.diagnosis.comparison.pair.vote import shares_alone
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
@@ -157,7 +152,7 @@ def _of_turns(found: Comparison) -> list[Wanted]:
     return [
         Wanted("turn", Hypothesis(e, {}, ()), {})
         for e in effects_of("gyro", in_turns=True)
-        if said.get((e.name, e.sensor)) == sum(p.count for p in e.parameters)
+        if said.get(e.key) == sum(p.count for p in e.parameters)
     ]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.direct import of_delay
-from stillcal.calib_core.diagnosis.comparison.linear import effect_quantity
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import effect_quantity
 from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     COMMON,
     Late,
@@ -187,7 +187,7 @@ def _with_effects(
         replace(before.added, **{"force" if of_force else "rate": added}),
         [*before.found, *(Stated(f) for _, f in shown)],
         [*before.quantities, *(o.quantity(span, reference) for o, f in shown if f.effect != "unknown")],
-        before.sought | {(e.name, e.sensor) for e in effects},
+        before.sought | {e.key for e in effects},
         before.hidden,
     )
 

@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
-from stillcal.calib_core.diagnosis.comparison.linear import linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import linear_quantities
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Claims

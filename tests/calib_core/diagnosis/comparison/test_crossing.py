@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.linear.reference_point import crossing_temperatures
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
-from stillcal.calib_core.diagnosis.comparison.reference_point import crossing_temperatures
 
 SLOPE = np.array([2e-3, -1e-3, 1e-3])
 

@@ -8,7 +8,11 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted, every_linear_quantity, linear_quantities
+from stillcal.calib_core.diagnosis.comparison.linear.quantities import (
+    every_linear_quantity,
+    linear_quantities,
+)
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature

@@ -152,19 +152,21 @@ def test_the_clock_of_the_written_phone_scatters_loses_and_stalls_as_the_recordi
         phone_with().clock, jitter_s=3e-4, drop_fraction=0.005, burst_fraction=0.02
     )
     real = recorded(msgspec.structs.replace(phone_with(), clock=uneven), 3)
-    scatter, bursts, missing = stamps_as_compared(real.accelerometer)
+    seen = stamps_as_compared(real.accelerometer)
     assert sample_rate(real.accelerometer) == pytest.approx(25.0, rel=1e-4), (
         "the samples that are missing count once"
     )
-    assert scatter == pytest.approx(3e-4, rel=0.05)
-    assert missing == pytest.approx(0.005, rel=0.3)
-    assert bursts == pytest.approx(0.02, rel=0.3)
+    assert seen.jitter_s == pytest.approx(3e-4, rel=0.05)
+    assert seen.missing == pytest.approx(0.005, rel=0.3)
+    assert seen.bursts == pytest.approx(0.02, rel=0.3)
     case = diagnosed(real)
     told = {m.finding.effect for m in case.mapped}
     clock = case.phone().clock
-    assert clock.jitter_s == (0.0 if "timestamp_jitter" in told else pytest.approx(scatter, rel=1e-3))
-    assert clock.drop_fraction == (0.0 if "dropped_samples" in told else pytest.approx(missing, rel=1e-2))
-    assert clock.burst_fraction == (0.0 if "arrival_bursts" in told else pytest.approx(bursts, rel=1e-2))
+    assert clock.jitter_s == (0.0 if "timestamp_jitter" in told else pytest.approx(seen.jitter_s, rel=1e-3))
+    assert clock.drop_fraction == (
+        0.0 if "dropped_samples" in told else pytest.approx(seen.missing, rel=1e-2)
+    )
+    assert clock.burst_fraction == (0.0 if "arrival_bursts" in told else pytest.approx(seen.bursts, rel=1e-2))
 
 
 def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:

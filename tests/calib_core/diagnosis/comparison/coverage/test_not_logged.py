@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
-from stillcal.calib_core.diagnosis.comparison.linear import Wanted
+from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Part, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature

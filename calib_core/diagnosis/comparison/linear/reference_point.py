@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.linear import SHIFTED, moved_rows
+from stillcal.calib_core.diagnosis.comparison.linear.shifts import SHIFTED, moved_rows
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, posterior, subtract
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
