@@ -71,6 +71,11 @@ class AxisDelays:
         """Whether one delay of all axes does not fit."""
         return self.log_chance < float(np.log(UNLIKELY))
 
+    @property
+    def longest(self) -> float:
+        """The largest delay of an axis against the sensor's mean, s."""
+        return float(np.abs(self.delays).max())
+
     def finding(self, where: Where, least: float = 0.0) -> Finding | None:
         """State delays that differ; least: nats for what shows in any case, whatever it is called."""
         which = int(np.argmax((np.abs(self.delays) / self.errors).max(axis=1)))

@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.model.measurement import Measured, direct_fin
 from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.motion.axis_delays import AxisDelays
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
 from stillcal.calib_core.diagnosis.motion.delay_fit import Fit, drawn, fitted, summed
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
@@ -91,7 +92,7 @@ def shown_in_motion(
     several = axes.differ or grows
     by_time = trend.log_chance < axes.log_chance and (grows or not axes.differ)
     if several or (late is None and filters is None):
-        late = trend.finding(where, fit.delay, surely) if by_time else axes.finding(where, surely)
+        late = trend.finding(where, fit.delay, surely) if by_time else _apart(axes, where, surely)
     arm, cause = lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where), None
     length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
     if length < gravity * interval**2 / TRAPEZOID or (filters and filters.explains_arm(length, gravity)):
@@ -116,6 +117,14 @@ def _likely(
     if filters is None or delayed(total) is not None or delayed(filters.beyond(total)) is None:
         return filters
     return None
+
+
+def _apart(axes: AxisDelays, where: Where, surely: float) -> Finding | None:
+    """State axes that are late by different times; nothing by `LONGEST` and more, which is something else's.
+
+    A road that shakes a car pushes and turns a phone in it at once, as delays of 2 s would.
+    """
+    return axes.finding(where, surely) if axes.longest < LONGEST else None
 
 
 def _why_several(*, by_time: bool, sure: bool) -> str:

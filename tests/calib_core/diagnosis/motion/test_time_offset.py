@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter, sosfilt
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import frozen
@@ -193,6 +193,36 @@ def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
     (axis,) = (f for f in found.findings if f.effect != "lever_arm")
     assert (axis.effect, axis.sensor, axis.axes) == ("unknown", "gyro", ["y"])
     assert axis.parameters["delay"].value[1] == pytest.approx(0.04 * 2 / 3, abs=0.01)
+
+
+def driven(seed: int) -> tuple[Samples, Samples]:
+    """Play twenty minutes of a phone, tilted, in a car that stops every 50 s, turns, brakes and shakes."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, 1200.0, 1.0 / RATE)
+    yaw, ahead, drives = np.zeros((3, t.size))
+    for start in np.arange(25.0, 1150.0, 50.0):
+        drives += (t >= start) & (t < start + 24.0)
+        for begun in start + np.arange(0.0, 24.0, 8.0):
+            part = np.clip((t - begun) / 8.0, 0.0, 1.0)
+            if rng.random() < 0.6:
+                yaw += rng.uniform(-0.4, 0.4) * (1.0 - np.cos(2.0 * np.pi * part))
+            else:
+                ahead += rng.uniform(0.5, 2.0) * np.sin(2.0 * np.pi * part)
+    band = butter(2, [1.0, 15.0], "band", fs=RATE, output="sos")
+    road = sosfilt(band, rng.normal(size=(t.size, 3)), axis=0) * drives[:, None]
+    pushed = np.stack([ahead, 8.0 * yaw, np.full(t.size, G)], axis=1) + road * [0.1, 0.1, 0.25]
+    turned = np.outer(yaw, [0.0, 0.0, 1.0]) + 0.01 * road[:, ::-1]
+    mount = Rotation.from_rotvec([0.6, 0.0, 0.0]).as_matrix()
+    return (
+        Samples.checked(Sensor.ACCELEROMETER, t, pushed @ mount + rng.normal(0.0, 0.02, (t.size, 3))),
+        Samples.checked(Sensor.GYROSCOPE, t, turned @ mount + rng.normal(0.0, 1e-3, (t.size, 3))),
+    )
+
+
+@pytest.mark.parametrize("seed", [0, 4, 7])
+def test_a_road_that_pushes_and_turns_a_phone_at_once_makes_no_axis_late_by_seconds(seed: int) -> None:
+    exam = examine(*driven(seed), sought=())
+    assert exam.statements == []
+    assert exam.why_no_delay.startswith("its axes do not agree about it, by how the hand moves it")
 
 
 def growing(growth: float, tremor: float) -> tuple[Shown, float]:
