@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Claims, Diagnosis, Finding, only_unknown
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, Unsteady, aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Unsteady, aligned
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
 from stillcal.calib_core.diagnosis.segments.noiseless import audible
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
+from stillcal.calib_core.diagnosis.segments.turns import Rates
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.stamps import judged
 from stillcal.calib_core.diagnosis.slow.about_force import about_nonlinearity, searched

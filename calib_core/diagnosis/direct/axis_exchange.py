@@ -21,8 +21,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
-from stillcal.calib_core.diagnosis.model.rotation_alignment import cuts
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.segments.turns import cuts
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples

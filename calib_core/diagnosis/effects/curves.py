@@ -17,7 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.temperature import known
 from stillcal.calib_core.diagnosis.model.effect import Dictionary, centred
 from stillcal.calib_core.diagnosis.model.moments import Moments, first_order, moves
-from stillcal.calib_core.diagnosis.segments.static_bins import Index
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import Index
 from stillcal.calib_core.streams.time_series import TimeSeries
 
 MOST_BORDERS = 250

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import Index
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples

@@ -13,7 +13,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.records import AXES
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import Index
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 BIAS_SIZE, SCALE_SIZE, MISALIGNMENT_SIZE = 0.5, 0.05, 0.03
 WITHIN_BINS = 60.0

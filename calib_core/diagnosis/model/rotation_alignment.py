@@ -10,7 +10,6 @@ that the norm leaves unknown go with the turns, as errors that their covariance 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,25 +27,17 @@ from stillcal.calib_core.diagnosis.model.residuals import (
     tilted,
 )
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.maths.robust import MAD_TO_SD, means
+from stillcal.calib_core.diagnosis.segments.turns import Cut, Rates, _angle, as_read, cuts
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
 
 LEAST_TURNS = 9
-LONGEST_TURN = 60.0
-LONGEST_GAP = 0.5
-"""s without a sample after which an attitude is lost; a long recording keeps the samples of some motion."""
 
-SHORT_OF = 0.98
-"""Part of a limit that a rate, less its bias, may reach."""
-
-LEAST_ANGLE = 0.2
-SHARPEST = 0.5
-"""rad from sample to sample, beyond which what happens between samples is not known from them."""
-
-MARGIN = 0.5
 ROUNDS = 8
+
 SETTLED = 1e-6
+
 GYRO_SCALE_SIZE = 0.2
 """Prior standard deviation of what is left of its scale and misalignment where errors of turns are judged."""
 
@@ -60,23 +51,12 @@ ROUGHER = 2.0
 """Times that error which is allowed for: a rate that is not smooth from sample to sample makes more."""
 
 FACTORS = np.exp(np.arange(-3.0, 3.01, 0.1))
+
 FAR, SOME = 0.25, 10
 """rad of a turn, beyond which a common factor of the rates is looked for; turns that it is taken from."""
 
 TRUSTED = 3.0
 """Scatters beyond which a turn's weight falls."""
-
-WINDOWS = (1, 2, 4, 8, 16, 32, 64)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cut:
-    """A turn as recorded, from bin `first` to the next. t: (n,) s; rate: (n, 3) rad/s, bias off."""
-
-    first: int
-    t: Array
-    rate: Array
-    temperature: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,89 +109,6 @@ class Turn:
         first = np.cross(self.up, np.eye(3)[np.argmin(np.abs(self.up))])
         first /= np.linalg.norm(first)
         return np.stack([first, np.cross(self.up, first)])
-
-
-Rates = Callable[[Samples], Array]
-"""The rate (n, 3) rad/s of some of the gyroscope's samples, what is known of its errors taken off."""
-
-
-def as_read(samples: Samples) -> Array:
-    """Return the rate as it was read: nothing is known of its errors."""
-    return np.asarray(samples.xyz)
-
-
-def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf, rates: Rates = as_read) -> list[Cut]:
-    """Cut the turns between successive rests, each less the bias that its neighbourhood tells best.
-
-    Turns in which a rate as read comes near `limit` (rad/s), where the sensor stops, are left out.
-    """
-    if bins.rate is None:
-        return []
-    bias = _local_bias(bins.rate)
-    last = np.flatnonzero(np.diff(bins.rest) > 0)
-    found = [_cut(gyroscope, bins, bias, int(i), rates) for i in last]
-    return [c for c in found if c is not None and _fastest(gyroscope, c, bias) < SHORT_OF * limit]
-
-
-def _fastest(gyroscope: Samples, cut: Cut, bias: Array) -> float:
-    """Return the largest rate on any axis during a turn as read, less its bias, rad/s."""
-    first = int(np.searchsorted(gyroscope.t, cut.t[0]))
-    return float(np.abs(gyroscope.xyz[first : first + cut.t.size] - bias[cut.first]).max())
-
-
-def _local_bias(rate: Array) -> Array:
-    """Return the bias (N - 1, 3) between successive bins of rate (N, 3): a mean over bins on either side.
-
-    The width of the mean, axis by axis, is that which foretells a bin best from its neighbours.
-    """
-    n = len(rate)
-    out = (rate[1:] + rate[:-1]) / 2.0
-    least = np.full(3, np.inf)
-    at = np.arange(n)
-    for width in WINDOWS:
-        if width > 1 and width >= n:
-            break
-        low, high = np.maximum(at - width, 0), np.minimum(at + width + 1, n)
-        # A bin's distance from the mean of the others about it.
-        away = (rate - means(rate, low, high)) * ((high - low) / np.maximum(high - low - 1, 1))[:, None]
-        error = np.median(np.abs(away), axis=0)
-        local = means(rate, np.maximum(at[1:] - width, 0), np.minimum(at[1:] + width, n))
-        out = np.where(error < least, local, out)
-        least = np.minimum(error, least)
-    return np.asarray(out)
-
-
-def _cut(gyroscope: Samples, bins: Bins, bias: Array, i: int, rates: Rates) -> Cut | None:
-    """Cut the turn from bin i to bin i + 1, of different rests; None where some of it was not recorded."""
-    start = float(bins.t[i] + bins.duration[i] / 2) - MARGIN
-    end = float(bins.t[i + 1] - bins.duration[i + 1] / 2) + MARGIN
-    part = gyroscope.between(start, end)
-    if end - start > LONGEST_TURN or len(part) < 10:
-        return None
-    if not throughout(part.t, start, end):
-        return None
-    if not followed(part.t, part.xyz):
-        return None
-    rate = rates(part) - bias[i]
-    if _angle(part.t, rate) < LEAST_ANGLE:
-        return None
-    warm = 0.0 if bins.temperature is None else float(bins.temperature[i] + bins.temperature[i + 1]) / 2.0
-    return Cut(i, part.t, rate, warm)
-
-
-def followed(t: Array, rate: Array) -> bool:
-    """Whether samples of the rate (n, 3) at t (n,) are so close that they tell what happens between them."""
-    return bool(np.linalg.norm(rate, axis=1).max() * np.median(np.diff(t)) <= SHARPEST)
-
-
-def throughout(t: Array, start: float, end: float) -> bool:
-    """Whether samples at t (n,) s follow an attitude all the way from `start` to `end`, s."""
-    return bool(np.diff(t, prepend=start, append=end).max() <= LONGEST_GAP)
-
-
-def _angle(t: Array, rate: Array) -> float:
-    """Return the angle turned through, rad, of rates (n, 3) at t (n,)."""
-    return float(np.linalg.norm(np.gradient(t)[:, None] * rate, axis=1).sum())
 
 
 @dataclass(frozen=True, slots=True)

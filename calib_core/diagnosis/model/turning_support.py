@@ -11,7 +11,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.earth import RATE
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins, Index
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import Index
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
 
 SURE = 4.8

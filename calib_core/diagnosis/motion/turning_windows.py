@@ -14,12 +14,13 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import Baseline
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, followed
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.affine_errors import affine_columns
 from stillcal.calib_core.diagnosis.motion.axis_delays import axis_columns
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum
-from stillcal.calib_core.diagnosis.segments.static_bins import runs_of
+from stillcal.calib_core.diagnosis.segments.rests.stillness import runs_of
+from stillcal.calib_core.diagnosis.segments.turns import followed
 from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.resample import interpolate
 from stillcal.calib_core.streams.samples import Samples

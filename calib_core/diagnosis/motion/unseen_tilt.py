@@ -24,12 +24,12 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_ANGLE
 from stillcal.calib_core.diagnosis.model.settings import JUMP
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.segments.orientation import GRAVITY, LONGEST_GAP, MOST_OF_BIAS
 from stillcal.calib_core.diagnosis.segments.overview import Overview
-from stillcal.calib_core.diagnosis.segments.static_bins import rest_edges
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import rest_edges
+from stillcal.calib_core.diagnosis.segments.turns import LEAST_ANGLE
 from stillcal.calib_core.diagnosis.segments.value_grid import ROUNDED
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows, without_gaps, without_spikes
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.overview import Overview
-from stillcal.calib_core.diagnosis.segments.static_bins import Index, RestEdges, rest_edges
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import Index, RestEdges, rest_edges
 from stillcal.calib_core.diagnosis.segments.windows import WINDOW, Windows
 
 Flags = NDArray[np.bool_]

@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.segments.static_bins import MOST_BINS, Bins, Index
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import MOST_BINS, Index
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 ALIKE = 0.02
 """rad between two rests that may be merged. Across such an angle the norm of a sensor with 2 % of scale error

@@ -1,6 +1,6 @@
 """Cutting a recording into still bins: all that is judged slowly is judged on their means.
 
-A bin belongs to one rest; between two rests the phone moved. Cuts are made on windows of one second.
+A bin belongs to one rest; between two rests the phone moved.
 """
 
 from __future__ import annotations
@@ -15,14 +15,19 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments import orientation as poses
 from stillcal.calib_core.diagnosis.segments.overview import Overview
-from stillcal.calib_core.diagnosis.segments.slow_moves import without_slow_moves
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import (
+    BINS,
+    BRIEFEST_BIN,
+    Index,
+    plugs,
+    rest_edges,
+)
+from stillcal.calib_core.diagnosis.segments.rests.stillness import still_seconds
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error
 from stillcal.calib_core.diagnosis.segments.windows import (
-    KNOCK,
     WINDOW,
     Windows,
-    merged,
     windows,
     without_gaps,
     without_spikes,
@@ -31,40 +36,10 @@ from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.streams.time_series import TimeSeries
 
-Index = NDArray[np.int64]
-
-FEWEST_TO_TELL, HELD = 3, 4
-"""Samples in a window without which its spread does not tell whether the phone moves; how many a window of a
-slow log holds on average: some have one less, because stamps jitter."""
-
-SHORTEST_REST = 5
-BRIEFEST_REST = 2
-FEW = 12
-"""Where rests of `SHORTEST_REST` windows give fewer bins than this, rests of `BRIEFEST_REST` count too."""
-
-LOUDEST_FORCE, LOUDEST_RATE = 0.5, 0.1
-"""m/s^2 and rad/s, spread within a second on three axes beyond which nothing lies: a phone that is carried
-nearly all day is shaken by more, a phone in a car or on a washing machine by less."""
-
-STILL_FORCE = 0.08
-STILL_RATE = 0.03
-RARE = 0.1
-"""Part of a rest's windows that may be so; where it is more, coarse steps or a steady shake do it."""
-
-BINS = 200
-MOST_BINS = 300
-"""More bins, where rests are very many, are thinned: work grows with their cube."""
-
-SHORTEST_BIN = 10.0
 POOLED_WEIGHT = 30.0
+
 NEAR_BINS = 5
 """Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
-
-BRIEFEST_BIN = 4
-"""Windows of a bin that may lie in motion, or be left beside a plug: three differences tell its noise."""
-
-PLUG_LATE = 3.0
-"""s by which the event of a plug may come after the plug: a phone tells it when its charger has answered."""
 
 LEAST_FORCE, LEAST_RATE = 3e-7, 3e-8
 """m/s^2 and rad/s, about a millionth of a bias as phones have it: no mean is known better. A simulation
@@ -136,43 +111,6 @@ def _numbered(rest: Index) -> Index:
     return np.asarray(np.unique(rest, return_inverse=True)[1], dtype=np.int64)
 
 
-def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
-    """Return which windows (n,) are still: quiet for this recording, and mean force and rate that stay."""
-    enough = force.count >= max(FEWEST_TO_TELL, 0.5 * float(np.median(force.count)))
-    spread = np.sqrt(force.variance.sum(axis=1))
-    floor = min(float(np.quantile(spread[enough], 0.1)), LOUDEST_FORCE) if enough.any() else 0.0
-    still = enough & (spread < 3.0 * floor + STILL_FORCE)
-    jump = np.abs(np.diff(force.mean, axis=0)).max(axis=1)
-    steady = jump < 0.03 + 6.0 * np.sqrt(
-        np.minimum(spread[1:], spread[:-1]) ** 2 / np.maximum(force.count[1:], 1)
-    )
-    still[1:] &= steady
-    still[:-1] &= steady
-    if rate is not None and still.any():
-        still &= _not_turning(rate, still)
-    return np.asarray(still)
-
-
-def without_knocks(still: NDArray[np.bool_], force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
-    """Return the still windows (n,) that are not far louder than their rest is as a rule: it ends there."""
-    kept = still.copy()
-    for sensor in (force, rate):
-        spread = np.zeros(still.size) if sensor is None else np.sqrt(sensor.variance.sum(axis=1))
-        for first, last in rest_runs(still):
-            loud = spread[first:last] > KNOCK * float(np.median(spread[first:last]))
-            kept[first:last] &= ~loud | (loud.mean() > RARE)
-    return np.asarray(kept)
-
-
-def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    turn = np.sqrt(rate.variance.sum(axis=1))
-    floor = min(float(np.quantile(turn[still], 0.1)), LOUDEST_RATE)
-    rest = np.median(rate.mean[still], axis=0)
-    noise = 4.0 * floor / np.sqrt(np.maximum(rate.count, 1.0))
-    slow = np.abs(rate.mean - rest).max(axis=1) < STILL_RATE + noise
-    return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
-
-
 def _rounding(samples: Samples, parts: Windows, first: Array, last: Array) -> Array:
     """Return the sd (3,) of the error that steps leave in the mean of bins, [first, last) windows each."""
     if not first.size:
@@ -183,85 +121,6 @@ def _rounding(samples: Samples, parts: Windows, first: Array, last: Array) -> Ar
     per_bin = _bin_means(np.hstack([count, count * parts.mean, square]), first, last)
     mean, square = per_bin[:, 1:4] / per_bin[:, :1], per_bin[:, 4:] / per_bin[:, :1]
     return rounding_error(mean, square - mean**2, step)
-
-
-def rest_runs(still: NDArray[np.bool_], shortest: int = SHORTEST_REST) -> list[tuple[int, int]]:
-    """Return [first, last) windows of runs of stillness, one window trimmed at either end."""
-    runs = [(a + 1, b - 1) for a, b in runs_of(still)]
-    return [(a, b) for a, b in runs if b - a >= shortest]
-
-
-def runs_of(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return [first, last) of every run of flags (n,) that are set."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RestEdges:
-    """Where a recording rests, in windows. still: (w,); runs: [first, last) of each rest.
-
-    first, last: (n,) of each bin, at most `MOST_BINS`; rest: (n,), the run that each lies in.
-    """
-
-    still: NDArray[np.bool_]
-    runs: list[tuple[int, int]]
-    first: Array
-    last: Array
-    rest: Index
-
-    def beside_plugs(self, events: Sequence[Charging], start: float) -> RestEdges:
-        """Return bins of which it is known throughout whether the phone was on the charger.
-
-        What lies from `PLUG_LATE` before an event of the plug up to it is cut off, with the shorter side of
-        a bin; bins that become too brief are left out. start: s, the first window's.
-        """
-        first, last = self.first.copy(), self.last.copy()
-        for event in _plugs(events):
-            low, high = np.floor((event.t - PLUG_LATE - start) / WINDOW), np.ceil((event.t - start) / WINDOW)
-            touched = (first < high) & (last > low)
-            at_end = low - first >= last - high
-            last[touched & at_end], first[touched & ~at_end] = low, high
-        kept = (last - first >= BRIEFEST_BIN) | ((first == self.first) & (last == self.last))
-        return replace(self, first=first[kept], last=last[kept], rest=self.rest[kept])
-
-
-def rest_edges(
-    force: Windows, rate: Windows | None, span: tuple[float, float], bin_length: float | None = None
-) -> RestEdges:
-    """Find the rests of a recording and cut them into bins of `bin_length` s (None: as in `cut`)."""
-    if rate is not None:
-        force, rate = without_spikes(force, rate), without_spikes(rate, force)
-    still = _still(force, rate)
-    length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
-    runs = _rests(still, rate, SHORTEST_REST)
-    first, last, rest = _bin_edges(runs, length)
-    if first.size < FEW:
-        runs = _rests(still, rate, BRIEFEST_REST)
-        first, last, rest = _bin_edges(runs, length)
-    kept = _longest(last - first)
-    return RestEdges(still, runs, first[kept], last[kept], rest[kept])
-
-
-def _rests(still: NDArray[np.bool_], rate: Windows | None, shortest: int) -> list[tuple[int, int]]:
-    """Return [first, last) windows of rests, free of slow moves at their ends where a gyroscope tells."""
-    runs = rest_runs(still, shortest)
-    return runs if rate is None else without_slow_moves(runs, rate.mean, shortest)
-
-
-def _still(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
-    """Return which windows (n,) are still; of a slow log, several together have the samples to tell."""
-    there = force.count[force.count > 0.0]
-    slow = there.size > 0 and float(np.median(there)) < FEWEST_TO_TELL
-    size = int(np.ceil(HELD / float(force.count.mean()))) if slow else 1
-    if size == 1 or force.t.size < size:
-        return without_knocks(still_windows(force, rate), force, rate)
-    wide = merged(force, size)
-    turning = None if rate is None else merged(rate, size)
-    found = without_knocks(still_windows(wide, turning), wide, turning)
-    still = np.zeros(force.t.size, dtype=np.bool_)
-    still[: found.size * size] = np.repeat(found, size)
-    return still
 
 
 def overview_of(accelerometer: Samples, gyroscope: Samples | None) -> Overview:
@@ -345,22 +204,6 @@ def cut_all(
     )
 
 
-def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Index]:
-    parts = [np.linspace(a, b, max(1, round((b - a) * WINDOW / length)) + 1).round() for a, b in runs]
-    if not parts:
-        return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
-    rest = np.repeat(np.arange(len(parts), dtype=np.int64), [p.size - 1 for p in parts])
-    return np.concatenate([p[:-1] for p in parts]), np.concatenate([p[1:] for p in parts]), rest
-
-
-def _longest(length: Array) -> Index:
-    """Return which bins are kept: all, or the longest of each of `MOST_BINS` groups of neighbours."""
-    if length.size <= MOST_BINS:
-        return np.arange(length.size)
-    groups = np.array_split(np.arange(length.size), MOST_BINS)
-    return np.array([g[np.argmax(length[g])] for g in groups], dtype=np.int64)
-
-
 def _bin_means(values: Array, first: Array, last: Array) -> Array:
     total = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
     return np.asarray((total[last.astype(int)] - total[first.astype(int)]) / (last - first)[:, None])
@@ -376,7 +219,7 @@ def shaking(samples: Samples, bins: Bins) -> Array:
 def in_motion(force: Samples, rate: Samples | None, bins: Bins) -> Array:
     """Return 1 for each bin (n,) that is not at rest from its begin to its end, 0 for the others."""
     turning = None if rate is None else windows(rate, *bins.span)
-    moved = (~_still(windows(force, *bins.span), turning)).astype(np.float64)[:, None]
+    moved = (~still_seconds(windows(force, *bins.span), turning)).astype(np.float64)[:, None]
     first, last = ((bins.t + side * bins.duration / 2.0 - bins.span[0]) / WINDOW for side in (-1.0, 1.0))
     return (_bin_means(moved, np.rint(first), np.rint(last))[:, 0] > 0.0).astype(np.float64)
 
@@ -449,21 +292,17 @@ def _bin_temperatures(readings: Array | None, t_start: float, first: Array, last
     return course.mean(t_start + (first + last) * 0.5 * WINDOW, (last - first) * WINDOW)
 
 
-def _plugs(events: Sequence[Charging]) -> list[Charging]:
-    """Return the events at which the charger came or went, in time order: some logs tell its state again."""
-    told = sorted((e for e in events if isinstance(e, Charging)), key=lambda e: e.t)
-    return [e for k, e in enumerate(told) if k == 0 or e.on != told[k - 1].on]
-
-
 def _charging(
     events: Sequence[Charging], span: tuple[float, float], first: Array, last: Array
 ) -> dict[str, Array | None]:
     """Return charging per bin and (m, 2) switching times; before the first event its opposite held."""
-    plugs = _plugs(events)
-    if not plugs:
+    switched = plugs(events)
+    if not switched:
         return {"charging": None, "charging_switches": None}
-    times = np.array([span[0], *(e.t for e in plugs)])
-    states = np.array([float(plugs[0].t > span[0] and not plugs[0].on), *(float(e.on) for e in plugs)])
+    times = np.array([span[0], *(e.t for e in switched)])
+    states = np.array(
+        [float(switched[0].t > span[0] and not switched[0].on), *(float(e.on) for e in switched)]
+    )
     fine = span[0] + np.arange(int((span[1] - span[0]) / WINDOW) + 1) * WINDOW
     at = states[np.maximum(np.searchsorted(times, fine, side="right") - 1, 0)]
     return {

@@ -17,7 +17,8 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.moments import turning
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
+from stillcal.calib_core.diagnosis.segments.turns import Rates
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
 from stillcal.calib_core.diagnosis.slow.statement import Stated, sentence
 from stillcal.calib_core.streams.samples import Samples

@@ -10,7 +10,8 @@ import pytest
 from stillcal.calib_core.diagnosis.clear_bins import roughened
 from stillcal.calib_core.diagnosis.diagnose import diagnose
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
-from stillcal.calib_core.diagnosis.segments.static_bins import RestEdges, cut
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import RestEdges
+from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 

@@ -32,8 +32,8 @@ from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import SHORTEST_BIN
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched
-from stillcal.calib_core.diagnosis.segments.static_bins import SHORTEST_BIN
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream
 
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")

@@ -17,11 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import (
-    GYRO_SCALE_SIZE,
-    LEAST_TURNS,
-    Aligned,
-)
+from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE, LEAST_TURNS, Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_view

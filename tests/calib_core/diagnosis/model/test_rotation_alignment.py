@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_courses
-from stillcal.calib_core.diagnosis.model.rotation_alignment import _nominal, aligned, cuts
+from stillcal.calib_core.diagnosis.model.rotation_alignment import _nominal, aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.diagnosis.segments.turns import cuts
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import lively, ups
 

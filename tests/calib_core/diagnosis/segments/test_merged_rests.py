@@ -7,7 +7,8 @@ import pytest
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.merged_rests import merged
-from stillcal.calib_core.diagnosis.segments.static_bins import MOST_BINS, Bins
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import MOST_BINS
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 SLOPE = 0.01
 

@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 from stillcal.calib_core.diagnosis.effects.by_rate import RateNonlinearity
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Rates, aligned, as_read
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.diagnosis.segments.turns import Rates, as_read
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate, parameters
 from stillcal.calib_core.diagnosis.slow.relinearised import about_effects
 from stillcal.calib_core.diagnosis.slow.statement import Stated

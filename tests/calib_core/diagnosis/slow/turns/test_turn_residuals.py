@@ -12,9 +12,10 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_courses
-from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Unsteady, _carried, aligned, cuts
+from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned, Unsteady, _carried, aligned
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
+from stillcal.calib_core.diagnosis.segments.turns import cuts
 from stillcal.calib_core.diagnosis.slow.estimate import estimate
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import (
     WAVES,
