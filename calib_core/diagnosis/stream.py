@@ -44,6 +44,10 @@ LOUDEST = {"accel": 0.02, "gyro": 2e-3}
 """Densities, m/s^2 and rad/s per sqrt(Hz), above which noise is motion. 35 real accelerometers have 0.001 to
 0.017 (still experiment of Stisen et al. 2015), gyroscopes up to 5e-4 (datasheet of the L3G4200D)."""
 
+SLOWEST_HZ = 21.0
+"""Lowest rate of those accelerometers. What is logged more slowly, without a filter, has all the noise of a
+sensor in a narrower band: in proportion, its densities may be larger."""
+
 SAME_HZ = 0.05
 """Difference of two sensors' lines that is none: what a stretch of 20 s tells apart."""
 
@@ -152,7 +156,8 @@ def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, n
     if made is None:
         return None, None
     levels = noise.levels(made, floor)
-    if levels.values().min() <= LOUDEST[sensor]:
+    folded = np.sqrt(max(SLOWEST_HZ / still.rate, 1.0))
+    if levels.values().min() <= LOUDEST[sensor] * folded:
         return made, levels
     return replace(made, low_pass=None), replace(levels, steady=False)
 

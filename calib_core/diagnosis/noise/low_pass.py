@@ -68,11 +68,24 @@ def quiet(samples: Samples, bins: Bins, lines: Sequence[float] = ()) -> Quiet:
     first = np.searchsorted(samples.t, bins.t - bins.duration / 2)
     last = np.searchsorted(samples.t, bins.t + bins.duration / 2)
     period = sample_period(samples.t)
-    keep = [(int(a), int(b)) for a, b in zip(first, last, strict=True) if b - a >= SHORTEST]
+    keep = _pieces(first.tolist(), last.tolist(), bins.rest.tolist())
     rests = [(samples.xyz[a:b] - samples.xyz[a:b].mean(axis=0), samples.t[a:b]) for a, b in keep]
     pieces = tuple(without_vibrations(xyz, t, lines) for xyz, t in rests)
     starts = tuple(float(samples.t[a]) for a, _ in keep)
     return Quiet(pieces, starts, 1.0 / max(period, 1e-9), tuple(lines))
+
+
+def _pieces(first: Sequence[int], last: Sequence[int], rest: Sequence[int]) -> list[tuple[int, int]]:
+    """Return [first, last) of the samples of bins, and of neighbours in one rest where each has too few."""
+    out: list[tuple[int, int]] = []
+    start, end, of = 0, 0, -1
+    for a, b, own in zip(first, last, rest, strict=True):
+        start = start if own == of and a == end and b - a < SHORTEST else a
+        end, of = b, own
+        if end - start >= SHORTEST:
+            out.append((start, end))
+            start = end
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

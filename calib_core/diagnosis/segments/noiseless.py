@@ -14,7 +14,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
-from stillcal.calib_core.diagnosis.segments.windows import FEWEST_SAMPLES, Windows, windows
+from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 QUIETEST = {Sensor.ACCELEROMETER: 1e-3, Sensor.GYROSCOPE: float(np.deg2rad(0.0038))}
@@ -27,8 +27,11 @@ FAINT = 0.01
 QUIET = 0.2
 """Part of the seconds that are taken to be at rest at least, where an effect changes least."""
 
-STRETCH, STRETCHES = 20.0, 30
-"""s of a stretch in which a sensor's own noise is looked for, and how many there are."""
+STRETCH, STRETCHES = 20, 30
+"""Seconds of a stretch in which a sensor's own noise is looked for, and how many stretches there are."""
+
+FEWEST_SAMPLES = 8
+"""Samples that are taken together where a second has fewer."""
 
 
 def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | None:
@@ -42,7 +45,7 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
         return None
     moving = np.ptp(samples.xyz, axis=0) > 0.0
     axes, sd = np.flatnonzero(moving), QUIETEST[samples.sensor] * np.sqrt(0.5 / period) * moving
-    if not axes.size or (_own(samples, period) > FAINT * sd)[axes].any():
+    if not axes.size or (_own(samples.xyz, period) > FAINT * sd)[axes].any():
         return None
     if any((comb_step(samples.xyz[:, axis]) or 0.0) > sd[axis] for axis in axes):
         return None
@@ -53,24 +56,22 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
     return replace(samples, xyz=frozen(samples.xyz + sd * rng.normal(size=samples.xyz.shape))), made
 
 
-def _own(samples: Samples, period: float) -> Array:
-    """Return the standard deviation (3,) of samples at rest about a line, infinite where none are.
+def _own(xyz: Array, period: float) -> Array:
+    """Return the standard deviation (3,) of samples (n, 3) at rest about a line, infinite for too few.
 
     Second differences of white noise have six times its variance. Stretches of a long recording tell it.
     """
-    size = max(round(STRETCH / period), 3)
-    starts = np.unique(np.linspace(0, max(len(samples) - size, 0), STRETCHES).astype(np.int64))
-    square = np.concatenate([_bends(samples[int(k) : int(k) + size]) for k in starts])
+    second = max(round(1.0 / period), FEWEST_SAMPLES)
+    starts = np.unique(np.linspace(0, max(len(xyz) - STRETCH * second, 0), STRETCHES).astype(np.int64))
+    bends = [np.diff(xyz[k : k + STRETCH * second], n=2, axis=0) for k in starts.tolist()]
+    square = np.concatenate([_square(bend, second) for bend in bends])
     return np.sqrt(np.quantile(square, QUIET, axis=0) / 6.0) if len(square) else np.full(3, np.inf)
 
 
-def _bends(samples: Samples) -> Array:
-    """Return the mean square (s, 3) of second differences in each second of a stretch."""
-    if len(samples) < 3:
-        return np.empty((0, 3))
-    bent = replace(samples[1:-1], xyz=np.diff(samples.xyz, n=2, axis=0))
-    seen = windows(bent, float(bent.t[0]), float(bent.t[-1]))
-    return (seen.variance + seen.mean**2)[seen.count >= FEWEST_SAMPLES]
+def _square(values: Array, size: int) -> Array:
+    """Return the mean square (k, 3) of every `size` of the values (n, 3), what is left over in none."""
+    count = len(values) // size
+    return np.asarray((values[: count * size] ** 2).reshape(count, size, 3).mean(axis=1))
 
 
 def audible(

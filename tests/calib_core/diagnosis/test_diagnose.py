@@ -11,6 +11,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import HARDLY,
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import density
 from stillcal.calib_core.diagnosis.diagnose import MEASURED, SEARCHED, diagnose, examine
+from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -136,4 +137,23 @@ def test_a_simulation_without_noise_breaks_nothing(attitudes: int) -> None:
     if attitudes > 1:
         noisy = Samples.checked(Sensor.ACCELEROMETER, t, force + bias + rng.normal(0, 0.02, force.shape))
         found = compare(examine(noisy, None), ideal, ("rec", "sim"))
-        assert [(d.effect, d.relation) for d in found.discrepancies] == [("accel_bias", "lacking")]
+        lacking = {(d.effect, d.relation) for d in found.discrepancies}
+        assert lacking == {("accel_bias", "lacking"), ("noise_level", "lacking")}
+
+
+@pytest.mark.parametrize("rate", [2.0, 5.0])
+def test_a_slow_log_tells_its_noise_by_whole_rests(rate: float) -> None:
+    """A bin of 10 s has too few samples for a spectrum; without a filter all noise is in the narrow band."""
+    sd, each = 0.05, round(70.0 * rate)
+    up = np.random.default_rng(3).normal(size=(20, 3))
+    force = np.repeat(9.81 * up / np.linalg.norm(up, axis=1, keepdims=True), each, axis=0)
+    t = np.arange(len(force)) / rate
+
+    def noisy(seed: int) -> Examination:
+        noise = np.random.default_rng(seed).normal(0.0, sd, force.shape)
+        return examine(Samples.checked(Sensor.ACCELEROMETER, t, force + noise), None, sought=())
+
+    level = density(noisy(1).streams[0])
+    assert level is not None
+    assert np.exp(level.value) == pytest.approx(sd * np.sqrt(2.0 / rate), rel=0.12)
+    assert "noise_level" in [d.recorded.effect for d in compare(noisy(1), noisy(2), ("rec", "sim")).agreed]
