@@ -82,10 +82,11 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     _refuse_shifted(own, other)
     still = simulated.bins.rate
     at_rest = None if still is None or not len(still) else np.median(still, axis=0)
-    motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest)
+    steps = rounding(exams)
+    motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest, steps)
     true = motion.readings
     apart, charging = less(own, true), charging_events(recording)
-    bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=rounding(exams))
+    bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=steps)
     exam = examined_in_pair(recorded, bins, sensors, motion.found, lambda done: show_stage(READINGS, done))
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
     slow = with_owner_of_unknown(slow, exam, recorded, simulated)
@@ -97,7 +98,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
         in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
         played = [*values.discrepancies, *in_motion]
         made = correct(simulation, played, {})
-        left = align(readings_of(recording), mean_readings(recording, [made.recording]), unsure, at_rest)
+        mean = mean_readings(recording, [made.recording])
+        left = align(readings_of(recording), mean, unsure, at_rest, steps)
         after = without_found(exam, slow, left.found, left)
         measured = examined(made.recording, silent, sought=())
         measured = with_own_values(measured, simulated, of_other_values(played, made))

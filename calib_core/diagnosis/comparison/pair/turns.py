@@ -48,6 +48,8 @@ deviation: 1 mm of an arm, a scale that differs by 2e-4 at 1 rad/s."""
 EXPLAINED = 0.5
 """Part of what noise does not explain that effects must explain for their names: less is the smaller part."""
 
+IN_STEPS = "motion shows it, by no more than coarse steps make, which it dithers and a rest does not"
+
 WHITE = 70.0
 """Variance of the fourth differences of white noise of variance one; motion has next to none."""
 
@@ -135,11 +137,18 @@ class Alignment:
     hidden: Mapping[Key, str] = field(default_factory=dict)
 
 
-def align(own: Readings, other: Readings, unsure: float = 0.0, at_rest: Array | None = None) -> Alignment:
+def align(
+    own: Readings,
+    other: Readings,
+    unsure: float = 0.0,
+    at_rest: Array | None = None,
+    rounding: Mapping[str, Array] | None = None,
+) -> Alignment:
     """Put into what the other sensor reads what the one shows besides in motion.
 
     unsure: s, a standard error that a delay between the sensors has besides. at_rest: (3,) rad/s, what the
-    other gyroscope reads where nothing turns, which drives no effect; None where that is not known.
+    other gyroscope reads where nothing turns, which drives no effect; None where that is not known. rounding:
+    sd (3,) of what coarse steps of both leave in a mean, by sensor; None without any.
     """
     force, rate = late(own.force, other.force, "accel"), None
     if own.rate is not None and other.rate is not None:
@@ -156,9 +165,13 @@ def align(own: Readings, other: Readings, unsure: float = 0.0, at_rest: Array | 
         sought, hidden = frozenset({key} if why is None else ()), {} if why is None else {key: why}
         whole = Alignment(true, none, [Stated(f) for f in found], numbers, sought, hidden)
     if force is not None:
-        whole = _with_effects(whole, own.force, true, force, at_rest, filtered=unsure > 0.0)
+        whole = _with_effects(
+            whole, own.force, true, force, at_rest, filtered=unsure > 0.0, rounding=rounding or {}
+        )
     if rate is not None and own.rate is not None:
-        whole = _with_effects(whole, own.rate, true, rate, at_rest, filtered=unsure > 0.0)
+        whole = _with_effects(
+            whole, own.rate, true, rate, at_rest, filtered=unsure > 0.0, rounding=rounding or {}
+        )
     return whole
 
 
@@ -167,9 +180,20 @@ def _nothing(samples: Samples) -> Samples:
 
 
 def _with_effects(
-    before: Alignment, own: Samples, true: Readings, seen: Late, at_rest: Array | None, *, filtered: bool
+    before: Alignment,
+    own: Samples,
+    true: Readings,
+    seen: Late,
+    at_rest: Array | None,
+    *,
+    filtered: bool,
+    rounding: Mapping[str, Array],
 ) -> Alignment:
-    """Return an alignment with the effects that the turns of one sensor show besides."""
+    """Return an alignment with the effects that the turns of one sensor show besides.
+
+    rounding: as in `align`. Motion dithers coarse steps and a rest does not, which goes with the rate of turn
+    as an effect does: one that adds no more than they leave is not stated.
+    """
     of_force = own.sensor is Sensor.ACCELEROMETER
     reads = true.force if of_force else true.rate
     assert reads is not None, "where a delay was measured there are readings"
@@ -178,7 +202,11 @@ def _with_effects(
     every = [Arm()] if of_force else effects_of("gyro", in_turns=True)
     # Linear in all that they have: nothing but numbers is fitted to samples, and no moment is looked for.
     effects = [e for e in every if list(e.points(turns.drivers)) == [{}]]
-    shown = [(one, f) for one in turns.shown(effects) if (f := one.finding(span)) is not None]
+    least = rounding.get("accel" if of_force else "gyro", np.zeros(3))
+    found = turns.shown(effects)
+    clear = [one for one in found if turns.exceeds(one, least)]
+    small = {one.effect.key for one in found if one not in clear}
+    shown = [(one, f) for one in clear if (f := one.finding(span)) is not None]
     more = sum((one.added(turns.drivers) for one, _ in shown), np.zeros_like(reads.xyz))
     added, reads = (replace(reads, xyz=frozen(xyz)) for xyz in (more, reads.xyz + more))
     reference = turns.drivers.history.reference_c
@@ -187,8 +215,8 @@ def _with_effects(
         replace(before.added, **{"force" if of_force else "rate": added}),
         [*before.found, *(Stated(f) for _, f in shown)],
         [*before.quantities, *(o.quantity(span, reference) for o, f in shown if f.effect != "unknown")],
-        before.sought | {e.key for e in effects},
-        before.hidden,
+        (before.sought | {e.key for e in effects}) - small,
+        {**before.hidden, **dict.fromkeys(small, IN_STEPS)},
     )
 
 
@@ -243,6 +271,12 @@ class _Turns:
             return []
         first = max(found, key=lambda one: one.gain)
         return [replace(first, effect=nameless(first.effect))]
+
+    def exceeds(self, one: InTurns, least: Array) -> bool:
+        """Whether an effect adds more than `least` (3,), root mean square, on the axis where it adds most."""
+        added = np.concatenate([one.added(self.drivers.during(piece)) for piece in self.pieces])
+        size = np.sqrt(np.mean(added**2, axis=0))
+        return bool(size.max() > least[np.argmax(size)])
 
     def _fitted(self, effect: Effect, others: Sequence[Effect]) -> InTurns:
         """Fit an effect beside scale, delay and `others`; its evidence is that against these alone."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, align
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.replay.diagnosis.paired import mean_readings, readings_of
+from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, Flaw, perfect, turned
 
 
@@ -81,6 +84,24 @@ def test_each_is_found_alone_with_its_size_and_taken_out(
     own = turned(1, flaw)
     assert align(readings_of(own), shown.readings).found == []
     assert [q.effect for q in shown.quantities] == ([] if effect == "unknown" else [effect])
+
+
+@pytest.mark.parametrize(("gain", "told"), [(0.012, False), (0.03, True)])
+def test_what_motion_dithers_of_coarse_steps_is_no_effect_of_turns(gain: float, told: bool) -> None:
+    """Of a bias of half a step a gain by direction and a nonlinearity were made."""
+    step = 0.02
+
+    def in_steps(recording: Recording) -> Recording:
+        assert recording.gyroscope is not None
+        xyz = frozen(step * np.rint(recording.gyroscope.xyz / step))
+        return replace(recording, gyroscope=replace(recording.gyroscope, xyz=xyz))
+
+    own = in_steps(turned(1, lambda force, rate: (force, rate + gain * np.maximum(rate, 0.0))))
+    mean = mean_readings(own, [in_steps(turned(101))])
+    assert len(align(readings_of(own), mean).found) == 1
+    shown = align(readings_of(own), mean, rounding={"gyro": np.full(3, step / np.sqrt(6.0))})
+    assert len(shown.found) == told
+    assert list(shown.hidden) == ([] if told else [("unknown", "gyro")])
 
 
 def test_a_bias_of_both_gyroscopes_makes_no_square_of_a_cube() -> None:
