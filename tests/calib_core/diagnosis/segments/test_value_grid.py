@@ -54,3 +54,8 @@ def test_few_values_lie_on_no_grid_by_chance(count: int) -> None:
 
 def test_few_codes_are_a_grid() -> None:
     assert comb_step(np.repeat(0.0012 * np.array([3, 4, 5, 7, 12]), 40)) == pytest.approx(0.0012)
+
+
+def test_few_codes_are_a_grid_that_were_printed_with_few_digits() -> None:
+    codes = np.repeat(np.round(0.0012207 * np.array([3, 4, 5, 7, 12]), 5), 40)
+    assert comb_step(codes) == pytest.approx(0.0012207, rel=5e-3)

@@ -93,6 +93,23 @@ def test_what_is_louder_by_its_white_noise_alone_has_no_more_slow_noise(
     assert posterior(other.log_bayes_factor, 30) > CERTAIN and (other.value < 0.0).all()
 
 
+def test_slow_noise_beside_louder_white_noise_is_as_unsure_as_before() -> None:
+    one, louder = resting(1e-4, 1e-5, 3), resting(4e-3, 0.0, 4)
+    beside = one.beside(louder)
+    own, added = np.exp(2.0 * one.value), louder.white - one.white
+    np.testing.assert_allclose(np.exp(2.0 * beside.value), own + added)
+    np.testing.assert_allclose(np.exp(2.0 * beside.value) * beside.sigma, own * one.sigma)
+    np.testing.assert_array_equal(louder.beside(one).value, louder.value)
+
+
+@pytest.mark.parametrize(("wander", "none"), [(0.0, True), (1e-5, False)])
+def test_a_sensor_without_white_noise_has_none_of_the_slow_either_unless_it_wanders(
+    wander: float, none: bool
+) -> None:
+    """What is added to it, so that it can be judged, is no slow noise of its own."""
+    assert resting(0.0, wander, 5).none == none
+
+
 def test_what_steps_larger_than_the_noise_leave_in_means_is_no_slow_noise() -> None:
     rng, t = np.random.default_rng(6), np.arange(15000) / 25.0
     still = np.array([0.0, 0.0, 9.80665]) + 0.01 * rng.normal(size=(t.size, 3))
