@@ -29,7 +29,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.extras import library
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import BOTH, USABLE_HZ, Log, LoggedSensor, Part
-from stillcal.replay.formats.recognition.settle import rate_unit_shown
+from stillcal.replay.formats.recognition.settling.units import rate_unit_shown
 from stillcal.replay.formats.sources import Source, unpacked_copy
 from stillcal.replay.formats.tables.numbers import NumberTable
 

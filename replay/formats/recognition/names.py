@@ -270,6 +270,10 @@ class Axes:
     unit: str | None
     quantity: str = ""
 
+    def listed(self) -> str:
+        """Return the names of its columns, one after the other."""
+        return " ".join(map(str, self.columns))
+
     def called(self, words: Set[str]) -> bool:
         """Whether one of `words` is among those for what it measures."""
         return not words.isdisjoint(self.quantity.split("_"))

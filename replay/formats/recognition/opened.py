@@ -38,7 +38,8 @@ from stillcal.replay.formats.recognition.names import (
 from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import refuse_devices_in_turn, sensors_of_rows
-from stillcal.replay.formats.recognition.settle import OneSensor, measures_gravity, settled, settled_apart
+from stillcal.replay.formats.recognition.settle import OneSensor, settled, settled_apart
+from stillcal.replay.formats.recognition.settling.units import measures_gravity
 from stillcal.replay.formats.recognition.text_formats import (
     BETAFLIGHT,
     GNSS_LOGGER,
