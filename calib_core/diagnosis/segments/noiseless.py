@@ -24,6 +24,13 @@ QUIETEST = {Sensor.ACCELEROMETER: 1e-3, Sensor.GYROSCOPE: float(np.deg2rad(0.003
 FAINT = 0.01
 """Part of it below which a sensor has none of its own: what is left is rounding, or an effect's change."""
 
+MOVING = {Sensor.ACCELEROMETER: 1.0, Sensor.GYROSCOPE: 0.3}
+"""m/s^2 and rad/s by which a sensor's values range at least where the phone moves: an axis that stays the
+same meanwhile is dead. At rest it may be well."""
+
+LINE = 0.01
+"""Part of second differences that a vibration leaves at most: noise of a narrow band leaves a tenth."""
+
 QUIET = 0.2
 """Part of the seconds that are taken to be at rest at least, where an effect changes least."""
 
@@ -43,8 +50,9 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
     period = sample_period(samples.t)
     if period <= 0.0:
         return None
-    moving = np.ptp(samples.xyz, axis=0) > 0.0
-    axes, sd = np.flatnonzero(moving), QUIETEST[samples.sensor] * np.sqrt(0.5 / period) * moving
+    span = np.ptp(samples.xyz, axis=0)
+    alive = (span > 0.0) if span.max() > MOVING[samples.sensor] else np.full(3, span.max() > 0.0)
+    axes, sd = np.flatnonzero(alive), QUIETEST[samples.sensor] * np.sqrt(0.5 / period) * alive
     if not axes.size or (_own(samples.xyz, period) > FAINT * sd)[axes].any():
         return None
     if any((comb_step(samples.xyz[:, axis]) or 0.0) > sd[axis] for axis in axes):
@@ -57,21 +65,31 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
 
 
 def _own(xyz: Array, period: float) -> Array:
-    """Return the standard deviation (3,) of samples (n, 3) at rest about a line, infinite for too few.
+    """Return the standard deviation (3,) of samples (n, 3) at rest about a straight line or a vibration.
 
-    Second differences of white noise have six times its variance. Stretches of a long recording tell it.
+    It is infinite for too few. Stretches of a long recording tell it.
     """
     second = max(round(1.0 / period), FEWEST_SAMPLES)
     starts = np.unique(np.linspace(0, max(len(xyz) - STRETCH * second, 0), STRETCHES).astype(np.int64))
-    bends = [np.diff(xyz[k : k + STRETCH * second], n=2, axis=0) for k in starts.tolist()]
-    square = np.concatenate([_square(bend, second) for bend in bends])
-    return np.sqrt(np.quantile(square, QUIET, axis=0) / 6.0) if len(square) else np.full(3, np.inf)
+    variance = np.concatenate([_variances(xyz[k : k + STRETCH * second], second) for k in starts.tolist()])
+    return np.asarray(np.sqrt(np.quantile(variance, QUIET, axis=0))) if len(variance) else np.full(3, np.inf)
 
 
-def _square(values: Array, size: int) -> Array:
-    """Return the mean square (k, 3) of every `size` of the values (n, 3), what is left over in none."""
-    count = len(values) // size
-    return np.asarray((values[: count * size] ** 2).reshape(count, size, 3).mean(axis=1))
+def _variances(xyz: Array, size: int) -> Array:
+    """Return the variance (k, 3) of the noise of every `size` of the samples (n, 3).
+
+    Second differences of white noise have six times its variance. Of a sine, x[n - 1] + x[n + 1] is
+    2 cos(w) x[n], whatever its size and phase: what is left of that is noise beside a vibration.
+    """
+    count = max(len(xyz) - 2, 0) // size
+    bend = np.diff(xyz[: count * size + 2], n=2, axis=0).reshape(count, size, 3)
+    middle, both = bend[:, 1:-1], bend[:, :-2] + bend[:, 2:]
+    turn = (middle * both).sum(axis=1) / np.maximum((middle**2).sum(axis=1), 1e-300)
+    left = both - turn[:, None] * middle
+    power, unexplained = (bend**2).mean(axis=1), (left**2).mean(axis=1)
+    beside = unexplained / (2.0 + 2.0 * (turn + 2.0) ** 2 + (2.0 * turn + 2.0) ** 2)
+    line = unexplained < LINE**2 * power
+    return np.asarray(np.where(line, np.minimum(power / 6.0, beside), power / 6.0))
 
 
 def audible(

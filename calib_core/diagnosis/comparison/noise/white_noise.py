@@ -163,9 +163,12 @@ def _low_passes(streams: Sequence[Stream]) -> list[Quantity | None]:
 
 
 def _low_pass(stream: Stream) -> Quantity | None:
-    """Return the logarithm of the cutoff, Hz; half the rate where there is none; None if noise hides it."""
-    spectra = stream.spectra
-    if spectra is None or (spectra.low_pass is None and (stream.levels is None or not stream.levels.white)):
+    """Return the logarithm of the cutoff, Hz; half the rate where there is none; None if noise hides it.
+
+    A sensor without any noise has none: what has to be put into it has to pass the other's.
+    """
+    spectra, white = stream.spectra, stream.silent or (stream.levels is not None and stream.levels.white)
+    if spectra is None or (spectra.low_pass is None and not white):
         return None
     cutoff = relative_cutoff(spectra)
     return Quantity(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.noiseless import FAINT, QUIETEST, audible, with_noise
@@ -46,6 +47,30 @@ def test_a_sensor_without_noise_gets_that_of_a_quiet_one_where_it_moves(slope: f
     assert sd[0] == pytest.approx(SD, rel=0.05) and sd[2] == 0.0, "an axis that never changes stays dead"
     assert (sd[1] > 0.0) == (slope > 0.0)
     assert (with_its_noise(xyz) == made).all()
+
+
+def test_at_rest_an_axis_may_stay_the_same_and_is_not_dead() -> None:
+    """Two axes whose bias drifts got noise, and the third one was then called dead."""
+    made = with_its_noise(np.array([0.3, 0.0, 9.8]) + np.outer(np.arange(3000) / RATE, [1e-3, 2e-3, 0.0]))
+    assert made is not None
+    assert made[:, 2].std() == pytest.approx(SD, rel=0.05)
+
+
+def low_passed(seed: int) -> Array:
+    """Return noise of 0.01 m/s^2 behind a sharp low-pass, (3000, 3)."""
+    values = lfilter(*butter(4, 0.1), np.random.default_rng(seed).normal(size=(3000, 3)), axis=0)
+    return np.asarray(0.01 * values / values.std())
+
+
+@pytest.mark.parametrize(
+    ("hertz", "noise", "silent"), [(6.2, 0.0, True), (6.2, 1.0, False), (0.0, 1.0, False)]
+)
+def test_a_vibration_is_no_noise_and_noise_of_a_narrow_band_is(
+    hertz: float, noise: float, silent: bool
+) -> None:
+    vibration = 0.05 * np.sin(2.0 * np.pi * hertz * np.arange(3000) / RATE)
+    xyz = turned() + vibration[:, None] * [1.0, 0.5, 0.2] + noise * low_passed(3)
+    assert (with_its_noise(xyz) is not None) == silent
 
 
 def test_the_seconds_get_as_much() -> None:

@@ -52,6 +52,17 @@ def test_the_cutoffs_of_both_are_compared(
             assert quantity.reference == {"order": 2}
 
 
+def test_a_simulation_without_noise_lacks_the_low_pass_of_noise() -> None:
+    """Only the noise was told: put in without the low-pass, it did not pass the comparison."""
+    t = np.arange(60000) / RATE
+    drift = np.array([0.0, 0.0, 9.8]) + np.outer(t, [1e-5, 2e-5, 1e-5])
+    silent = examine(Samples(Sensor.ACCELEROMETER, t, drift), None, sought=())
+    said = compare_samples((still(20.0, 1), silent), ("rec", "sim"))
+    assert {(d.effect, d.relation) for d in said.discrepancies} == {
+        ("noise_level", "lacking"), ("bandwidth", "lacking")
+    }  # fmt: skip
+
+
 def test_where_neither_has_one_nothing_is_told() -> None:
     exams = still(None, 1), still(None, 2)
     assert all(LOW_PASS not in {effect for effect, _ in side} for side in of_both(exams))
