@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.leaning import without_leaning
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
-from stillcal.calib_core.diagnosis.segments.vibration_gate import steady, without_lines
+from stillcal.calib_core.diagnosis.segments.vibration_gate import shaking_of, steady
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
@@ -31,7 +31,7 @@ def still_bins(
 ) -> Bins:
     """Return the bins in which the phone lay still, a vehicle's turns left out; overview: as in `cut`."""
     bins = without_leaning(cut(accelerometer, gyroscope, events, overview=overview))
-    return steady(bins, without_lines(accelerometer, bins))
+    return steady(bins, shaking_of(accelerometer, bins))
 
 
 def outside_of(bins: Bins, found: Sequence[Finding]) -> Bins:

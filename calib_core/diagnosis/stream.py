@@ -31,6 +31,7 @@ from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_perio
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, Quiet, Spectra, bandwidth, quiet
 from stillcal.calib_core.diagnosis.noise.noise_changes import by_force, changing
 from stillcal.calib_core.diagnosis.noise.shared_noise import shared_noise, shared_noise_finding
+from stillcal.calib_core.diagnosis.segments.noise_range import loudest
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
@@ -39,14 +40,6 @@ from stillcal.calib_core.streams.samples import Samples
 
 LEAST_SAMPLES = 200
 """Samples below which nothing is judged."""
-
-LOUDEST = {"accel": 0.02, "gyro": 2e-3}
-"""Densities, m/s^2 and rad/s per sqrt(Hz), above which noise is motion. 35 real accelerometers have 0.001 to
-0.017 (still experiment of Stisen et al. 2015), gyroscopes up to 5e-4 (datasheet of the L3G4200D)."""
-
-SLOWEST_HZ = 21.0
-"""Lowest rate of those accelerometers. What is logged more slowly, without a filter, has all the noise of a
-sensor in a narrower band: in proportion, its densities may be larger."""
 
 SAME_HZ = 0.05
 """Difference of two sensors' lines that is none: what a stretch of 20 s tells apart."""
@@ -156,8 +149,7 @@ def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, n
     if made is None:
         return None, None
     levels = noise.levels(made, floor)
-    folded = np.sqrt(max(SLOWEST_HZ / still.rate, 1.0))
-    if levels.values().min() <= LOUDEST[sensor] * folded:
+    if levels.values().min() <= loudest(sensor, still.rate):
         return made, levels
     return replace(made, low_pass=None), replace(levels, steady=False)
 

@@ -11,15 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.segments.noise_range import QUIETEST
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.samples import Samples, Sensor
-
-QUIETEST = {Sensor.ACCELEROMETER: 1e-3, Sensor.GYROSCOPE: float(np.deg2rad(0.0038))}
-"""Densities of white noise, one-sided, m/s^2 and rad/s per sqrt(Hz): the quietest of 35 real accelerometers
-(still experiment of Stisen et al. 2015), and a quiet phone's gyroscope (data sheet of the LSM6DSO)."""
 
 FAINT = 0.01
 """Part of it below which a sensor has none of its own: what is left is rounding, or an effect's change."""

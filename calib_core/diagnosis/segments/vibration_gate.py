@@ -1,17 +1,19 @@
 """Bins in which something shook the phone and turned it too: a car that creeps along lies still to no sensor.
 
 Vibration alone is no reason to leave a bin out: what shakes may shift a bias, which is then by its power. A
-machine that runs at its own speed turns nothing, however loud it is: its lines do not count as shaking.
+machine that runs at its own speed turns nothing, however loud it is: its lines do not count as shaking. Nor
+does what is as strong at all frequencies in most bins, if a sensor may have as much: that is its own noise.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments.noise_range import loudest
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.robust import MAD_TO_SD
@@ -46,32 +48,43 @@ LINE = 8.0
 never is."""
 
 
-def steady(bins: Bins, shaking: Array) -> Bins:
+WHITE = 0.1
+"""Part of the frequencies at which what shakes is no louder than the sensor's own noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shaking:
+    """Power of what has no steady frequency, (m/s^2)^2. power: (n,) of each bin; own: the sensor's noise."""
+
+    power: Array
+    own: float = 0.0
+
+
+def steady(bins: Bins, shaking: Shaking) -> Bins:
     """Return the bins without shaken ones whose rate is neither that of quiet bins nor follows the power.
 
-    shaking: (n,) (m/s^2)^2, the power of what has no steady frequency. Where nine in ten are shaken, nothing
-    tells a bias from a vehicle's slow turn, and they have no rate.
+    Where nine in ten are shaken, nothing tells a bias from a vehicle's slow turn, and they have no rate.
     """
     if bins.rate is None or bins.rate_variance is None or not len(bins):
         return bins
-    floor = float(np.quantile(shaking, 0.1))
-    if floor > SHAKEN**2:
+    floor = float(np.quantile(shaking.power, 0.1))
+    if floor - shaking.own > SHAKEN**2:
         return replace(bins, rate=None, rate_variance=None)
-    loud = shaking > LOUD**2 * floor
+    loud = shaking.power > LOUD**2 * floor
     if not loud.any() or (~loud).sum() < FEWEST:
         return bins
     quiet = bins.rate[~loud]
     middle = np.median(quiet, axis=0)
     scatter = MAD_TO_SD * np.median(np.abs(quiet - middle), axis=0)
     spread = np.maximum(np.sqrt(bins.rate_variance), scatter)
-    power = np.where(loud, shaking, 0.0)
+    power = np.where(loud, shaking.power, 0.0)
     shifted = np.median((bins.rate[loud] - middle) / power[loud, None], axis=0)
     away = np.abs(bins.rate - middle - power[:, None] * shifted) / spread
     return bins.chosen(~loud | (away.max(axis=1) < TURNED))
 
 
-def without_lines(accelerometer: Samples, bins: Bins) -> Array:
-    """Return the bins' power of vibration (n,), (m/s^2)^2, without lines that half of them have.
+def shaking_of(accelerometer: Samples, bins: Bins) -> Shaking:
+    """Return the bins' power of vibration without lines that half of them have.
 
     An engine that drives has another speed in every bin.
     """
@@ -81,14 +94,16 @@ def without_lines(accelerometer: Samples, bins: Bins) -> Array:
     size = round(SEGMENT / period)
     held = np.flatnonzero(last - first >= size)
     if not held.size or size < LEAST_SAMPLES:
-        return bins.vibration
+        return Shaking(bins.vibration)
     pieces = [accelerometer.xyz[first[i] : last[i]] for i in held]
     power = densities(pieces, 1.0 / period, size).sum(axis=2)
     f = np.fft.rfftfreq(size, period)
-    lines = _lines(np.median(power, axis=0)) & (f > LEAST_LINE_HZ)
+    usual = np.median(power, axis=0)
+    lines = _lines(usual) & (f > LEAST_LINE_HZ)
     broad = bins.vibration.copy()
     broad[held] *= 1.0 - power[:, lines].sum(axis=1) / np.maximum(power.sum(axis=1), 1e-300)
-    return broad
+    own = min(float(np.quantile(usual[1:], WHITE)), 3.0 * loudest("accel", 1.0 / period) ** 2)
+    return Shaking(broad, own * 0.5 / period)
 
 
 def _lines(power: Array) -> NDArray[np.bool_]:

@@ -7,7 +7,8 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.segments.noiseless import FAINT, QUIETEST, audible, with_noise
+from stillcal.calib_core.diagnosis.segments.noise_range import QUIETEST
+from stillcal.calib_core.diagnosis.segments.noiseless import FAINT, audible, with_noise
 from stillcal.calib_core.diagnosis.segments.static_bins import overview_of
 from stillcal.calib_core.diagnosis.segments.windows import windows
 from stillcal.calib_core.streams.samples import Samples, Sensor
