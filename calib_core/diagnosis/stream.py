@@ -151,7 +151,7 @@ def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, n
     levels = noise.levels(made, floor)
     if levels.values().min() <= loudest(sensor, still.rate):
         return made, levels
-    return replace(made, low_pass=None), replace(levels, steady=False)
+    return replace(made, low_pass=None), replace(levels, loud=True)
 
 
 def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:

@@ -40,8 +40,8 @@ OF_MEDIAN = float(1.0 / np.log(2.0))
 class Levels:
     """White noise by axis. density: three numbers, unit/sqrt(Hz); pieces: (P, 3) the same by piece.
 
-    white: whether most of the band is flat. steady: whether rests differ no more than chance would have it,
-    and it is no louder than a sensor's noise is. least: the lowest density (3,) in the band.
+    white: whether most of the band is flat. steady: whether rests differ no more than chance would have it.
+    least: the lowest density (3,) in the band. loud: whether it is louder than any sensor's noise.
     """
 
     density: tuple[Measured, Measured, Measured]
@@ -49,11 +49,17 @@ class Levels:
     white: bool
     steady: bool
     least: Array
+    loud: bool = False
+
+    @property
+    def alike(self) -> bool:
+        """Whether it is noise that all rests have: white, and as strong in each."""
+        return self.white and self.steady
 
     @property
     def own(self) -> bool:
-        """Whether the noise is the sensor's own: white, and alike in all rests."""
-        return self.white and self.steady
+        """Whether it is the sensor's own: such noise, and no louder than sensors have it."""
+        return self.alike and not self.loud
 
     def less(self, shared: float) -> Levels:
         """Return what is each axis' own where axes share a part of the noise's power, 0 to 1."""

@@ -33,10 +33,7 @@ ALIKE_CUTOFF = 0.05
 
 NONE_AT_ALL = "it has no noise at all"
 BLURRED = "its values come in steps larger than the noise"
-LOUD = (
-    "its noise is louder than any sensor's, or differs between rests by more than chance: heavy tails, or"
-    " something shakes the phone"
-)
+UNSTEADY = "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
 REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
 
 LOW_PASS = "bandwidth"
@@ -59,10 +56,13 @@ def of_both(exams: Sequence[Examination]) -> list[dict[Key, Quantity]]:
 
 
 def density(stream: Stream) -> Quantity | None:
-    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown."""
+    """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown.
+
+    What is louder than any sensor's noise is a difference too, if it is as white and as strong in all rests.
+    """
     if stream.silent:
         return _density(stream, np.full(3, SILENT))
-    if stream.levels is None or not stream.levels.own:
+    if stream.levels is None or not stream.levels.alike:
         return None
     return _density(stream, np.maximum(stream.levels.values(), SILENT), stream.levels.errors())
 
@@ -232,7 +232,7 @@ def why_no_density(stream: Stream) -> str:
         (stream.repeats_many, REPEATED),
         (levels is not None and stream.steps.blurs_level(), BLURRED),
         (levels is not None and not levels.white, "its noise at rest is not white over most of the band"),
-        (levels is not None, LOUD),
+        (levels is not None, UNSTEADY),
         (
             bool(stream.still.pieces) and stream.steps.hides_noise(),
             "its values come in steps that hide the noise",

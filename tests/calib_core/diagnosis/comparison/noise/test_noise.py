@@ -164,6 +164,14 @@ def test_wander_of_a_phone_in_a_train_is_the_trains() -> None:
         assert _is_motion((found, True), (exam, exam)) == motion
 
 
+def test_noise_louder_than_any_sensors_is_a_difference_where_all_rests_have_it() -> None:
+    """It was not compared, as if something shook the phone, and no difference was found."""
+    loud, usual = (examine(stepped(sd, 0.0, 3), None, sought=()) for sd in (0.15, 0.03))
+    assert loud.streams[0].levels is not None and loud.streams[0].levels.loud and not loud.statements
+    found = compare(loud, usual, ("rec", "sim")).discrepancies
+    assert [(d.effect, d.relation) for d in found] == [(LEVEL, "too_small")]
+
+
 def stepped(noise: float, step: float, seed: int) -> Samples:
     """Return ten minutes of rests in 20 attitudes, the values in steps. noise: sd, m/s^2."""
     rng = np.random.default_rng(seed)
