@@ -41,8 +41,8 @@ FEWEST_SAMPLES = 8
 def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | None:
     """Return samples and the windows of all of them with white noise; None where the sensor has its own.
 
-    A sensor whose values come in larger steps has its noise beneath them, and an axis that never changes is
-    dead. The noise is the same for the same recording.
+    A sensor whose values come in larger steps has its noise beneath them, and an axis that never changes
+    while the phone moves is dead. The noise is the same for the same recording.
     """
     period = sample_period(samples.t)
     if period <= 0.0:
