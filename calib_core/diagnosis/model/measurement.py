@@ -217,7 +217,7 @@ def direct_finding(
     evidence = (
         Evidence(seen.log_bayes_factor)
         if held is None
-        else Evidence(seen.log_bayes_factor, held.before, held.after, held.gain, FOLDS)
+        else Evidence(seen.log_bayes_factor, held.before, held.after, held.gain, folds=FOLDS)
     )
     names = [AXES[a] for a in axes]
     said = f"{statement} {seen.unusual}".strip()

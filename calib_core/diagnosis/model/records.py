@@ -69,9 +69,9 @@ class Evidence:
     heldout_rmse_before: float | None = None
     heldout_rmse_after: float | None = None
     heldout_log_score_gain: float | None = None
-    heldout_gain_in_one_noise: float | None = None
     folds: int = 0
     named_in_folds: int | None = None
+    heldout_gain_in_one_noise: float | None = None
 
     @property
     def contradicted(self) -> bool:

@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     posterior,
     share_of,
 )
-from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.diagnosis.model.records import Evidence, Where
 from stillcal.calib_core.diagnosis.model.settings import DIRECT_CHECKS
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual, sound_phones
 
@@ -91,6 +91,10 @@ def test_evidence_has_only_what_was_computed() -> None:
     assert counted is not None and counted.statement == "Said. (Rare.)"
     assert counted.evidence.heldout_log_score_gain is None and counted.evidence.folds == 0
     assert counted.evidence.log_bayes_factor == 50.0
+    seen = DirectEvidence(50.0, HeldOut(3.0, 1.0, 2.0))
+    fitted = direct_finding("x", "gyro", [], WHERE, {}, statement="Said.", seen=seen)
+    assert fitted is not None and fitted.evidence == Evidence(50.0, 1.0, 2.0, 3.0, folds=5)
+    assert fitted.evidence.contradicted, "its noise is not fitted with it: the rms of the misses tells"
 
 
 def test_less_than_what_a_sound_phone_shows_is_sound() -> None:
