@@ -11,7 +11,7 @@ from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.stuck import stuck
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.segments.vibration_gate import steady
+from stillcal.calib_core.diagnosis.segments.vibration_gate import Shaking, steady
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import nulls
@@ -70,22 +70,23 @@ def test_a_car_that_turns_slowly_does_not_rest() -> None:
     assert bins.rate is not None
     turning = loud & (np.arange(len(bins)) % 3 == 0)
     rate = bins.rate + turning[:, None] * np.array([0.0, 0.006, 0.002])
-    kept = steady(replace(bins, rate=rate), bins.vibration)
+    kept = steady(replace(bins, rate=rate), Shaking(bins.vibration))
     np.testing.assert_array_equal(kept.t, bins.t[~turning])
 
 
 def test_where_nothing_is_quiet_rates_are_not_judged() -> None:
     bins, _ = car()
-    driven = steady(bins, np.full(len(bins), 0.2**2))
+    driven = steady(bins, Shaking(np.full(len(bins), 0.2**2)))
     assert driven.rate is None and len(driven) == len(bins)
-    assert steady(bins, np.full(len(bins), 0.05**2)).rate is not None
+    assert steady(bins, Shaking(np.full(len(bins), 0.05**2))).rate is not None
+    assert steady(bins, Shaking(np.full(len(bins), 0.2**2), own=0.19**2)).rate is not None, "its own noise"
 
 
 def test_a_bias_that_follows_the_shaking_stays() -> None:
     bins, _ = car()
     assert bins.rate is not None
     shaken = replace(bins, rate=bins.rate + bins.vibration[:, None] * np.array([0.5, 0.0, 0.0]))
-    assert len(steady(shaken, shaken.vibration)) == len(bins)
+    assert len(steady(shaken, Shaking(shaken.vibration))) == len(bins)
 
 
 def stream(xyz: np.ndarray) -> Samples:
