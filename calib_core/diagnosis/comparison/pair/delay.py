@@ -7,7 +7,7 @@ wrong scale, or like a bias that jumps with the motion, so readings are aligned 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,10 @@ LEAST_PIECES = 12
 
 MOST_PIECES = 200
 """Pieces that are enough: a delay is then known to a small part of a sample."""
+
+MEANS = (1, 2, 4, 8)
+"""Samples that are read as one, the fewest of which show enough motion: from sample to sample a smooth hand
+moves a sensor by less than its noise at 100 Hz and more."""
 
 LINEARISED = 3
 """Times that the model is taken about the delay found before."""
@@ -110,10 +114,28 @@ def late(own: Samples, true: Samples, sensor: str) -> Late | None:
     Least squares of the difference of the readings on what scale and misalignment do, and on the rate of
     change. The error is that of leaving pieces out.
     """
-    every = (_moving(true, length) for length in PIECES)
-    pieces = next((pieces for pieces in every if len(pieces) >= LEAST_PIECES), None)
-    if pieces is None:
-        return None
+    for size in MEANS:
+        coarser = _means(true, size)
+        every = (_moving(coarser, length) for length in PIECES)
+        pieces = next((pieces for pieces in every if len(pieces) >= LEAST_PIECES), None)
+        if pieces is not None:
+            found = _late(_means(own, size), coarser, sensor, pieces)
+            whole = [slice(size * p.start, size * p.stop) for p in pieces]
+            return None if found is None else replace(found, pieces=whole)
+    return None
+
+
+def _means(samples: Samples, size: int) -> Samples:
+    """Return the means of every `size` samples, what is left over in none."""
+    if size == 1:
+        return samples
+    count = len(samples) // size
+    t, xyz = samples.t[: count * size], samples.xyz[: count * size]
+    return Samples(samples.sensor, t.reshape(-1, size).mean(axis=1), xyz.reshape(-1, size, 3).mean(axis=1))
+
+
+def _late(own: Samples, true: Samples, sensor: str, pieces: list[slice]) -> Late | None:
+    """Return what `late` does, of samples that move enough in `pieces`."""
     total, error = 0.0, 0.0
     for _ in range(LINEARISED):
         common = linear_in_motion(own, read_later(true, total), pieces).through(COMMON)

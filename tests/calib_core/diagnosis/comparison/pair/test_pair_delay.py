@@ -114,3 +114,19 @@ def test_turns_of_some_seconds_tell_a_delay_wherever_they_begin(turns: int, told
     assert (found is not None) is told
     if found is not None:
         assert found.delay.value == pytest.approx(1.0 / RATE, abs=3.0 * found.delay.error)
+
+
+def test_a_smooth_hand_tells_a_delay_at_a_high_rate() -> None:
+    """From one sample to the next it moved a sensor by less than its noise: gyroscopes 12 ms apart agreed."""
+    t = np.arange(0.0, 300.0, 0.005)
+    force = 9.8 * np.sin(0.6 * np.sin(2.0 * np.pi * 0.3 * t)[:, None] + [0.0, 0.5, 1.5])
+
+    def read(late_by: float, seed: int) -> Samples:
+        noise = np.random.default_rng(seed).normal(0.0, 0.015, force.shape)
+        moved = np.stack([np.interp(t - late_by, t, axis) for axis in force.T], axis=1)
+        return Samples(Sensor.ACCELEROMETER, t, moved + noise)
+
+    found = late(read(0.012, 1), read(0.0, 2), "accel")
+    assert found is not None and found.delay.error < 1e-4
+    assert found.delay.value == pytest.approx(0.012, abs=4.0 * found.delay.error)
+    assert found.pieces[-1].stop > t.size - 2000, "pieces are of all the samples"
