@@ -188,8 +188,8 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     """Return what the noise at rest shows."""
     if stream.spectra is None or stream.levels is None:
         return []
-    samples, sensor = stream.samples, stream.sensor
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, stream.still.rate / 2.0), "noise at rest")
+    sensor = stream.sensor
+    where = Where(*stream.span, (0.0, stream.still.rate / 2.0), "noise at rest")
     fine = not stream.steps.blurs_level()
     at_rest = (stream.spectra, stream.levels, sensor, stream.bins)
     other = (changing(*at_rest) or by_force(*at_rest)) if fine else None

@@ -34,7 +34,7 @@ QUIET = 0.2
 STRETCH, STRETCHES = 20, 30
 """Seconds of a stretch in which a sensor's own noise is looked for, and how many stretches there are."""
 
-FEWEST_SAMPLES = 8
+FEWEST_TOGETHER = 8
 """Samples that are taken together where a second has fewer."""
 
 
@@ -66,7 +66,7 @@ def _own(xyz: Array, period: float) -> Array:
 
     It is infinite for too few. Stretches of a long recording tell it.
     """
-    second = max(round(1.0 / period), FEWEST_SAMPLES)
+    second = max(round(1.0 / period), FEWEST_TOGETHER)
     starts = np.unique(np.linspace(0, max(len(xyz) - STRETCH * second, 0), STRETCHES).astype(np.int64))
     variance = np.concatenate([_variances(xyz[k : k + STRETCH * second], second) for k in starts.tolist()])
     return np.asarray(np.sqrt(np.quantile(variance, QUIET, axis=0))) if len(variance) else np.full(3, np.inf)

@@ -285,10 +285,9 @@ def _unnamed(steps: Sequence[Step], one: Step) -> list[Step]:
 
 def _perhaps_named(steps: Sequence[Step], one: Step) -> list[Step]:
     """Return the steps with the name of one among its rivals: it fits, and its sizes are not known."""
-    rivals = {id(s): (s.winner, *s.others) for s in steps if s.winner.fit is one.winner.fit}
     return [
-        replace(s, others=rivals.get(id(old), s.others))
-        for s, old in zip(_unnamed(steps, one), steps, strict=True)
+        replace(without_name(s), others=(s.winner, *s.others)) if s.winner.fit is one.winner.fit else s
+        for s in steps
     ]
 
 

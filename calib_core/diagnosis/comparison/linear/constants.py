@@ -27,20 +27,16 @@ from stillcal.calib_core.diagnosis.stamps.clock import rate_against_host
 RATE_BIAS_SIZE = 0.05
 """Prior size of a gyroscope's bias, rad/s: 3 deg/s, three times the zero-rate offset of consumer parts."""
 
-
 LOCAL_GRAVITY = 0.002
 """Relative standard deviation of gravity where nobody gave it: it runs from 9.780 to 9.832 m/s^2 at sea level
 (WGS 84), and a common scale looks the same."""
-
 
 ALIKE_BIAS = {"accel": 2e-3, "gyro": 1e-4}
 """Bias, m/s^2 and rad/s, that two recordings of one phone may differ by and nothing is wrong: 0.2 mg and
 0.006 deg/s, what a rest of some minutes leaves uncertain by slow noise in the parts of consumer phones."""
 
-
 ALIKE_SCALE = 2e-4
 """Scale and misalignment, relative, for which the same holds."""
-
 
 CONSTANTS = {
     "accel": (
@@ -73,14 +69,14 @@ def _constants_free(view: View, gravity: float) -> View:
 
 def constants(kind: str, residuals: SensorResiduals) -> Hypothesis:
     """Return the constant parameters as a hypothesis: what they do to the residuals of a faultless phone."""
-    constants = Parameters("constants", residuals.sensor, CONSTANTS[kind])
+    parameters = Parameters("constants", residuals.sensor, CONSTANTS[kind])
     if kind == "accel":
         columns = tuple(_of_constants(v) for v in residuals.views)
     elif kind == "turn":
         columns = tuple(v.baseline for v in residuals.views)
     else:
         columns = residuals.columns_of(on_axes(np.ones(len(residuals.bins))))
-    return Hypothesis(constants, {}, columns)
+    return Hypothesis(parameters, {}, columns)
 
 
 def _of_constants(view: View) -> Array:

@@ -22,7 +22,6 @@ from stillcal.calib_core.diagnosis.model.hypothesis import (
 BIAS_SHIFTED = ((0, 1, 2), 1.0)
 """What an effect on the bias moves by, as in `SHIFTED`."""
 
-
 SHIFTED = {
     "accel_bias_temperature": BIAS_SHIFTED,
     "gyro_bias_temperature": BIAS_SHIFTED,
