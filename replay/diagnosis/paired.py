@@ -28,7 +28,9 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import (
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.direct.repeated_values import held_rows
 from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.records import NAME
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.errors import UserError
@@ -45,7 +47,7 @@ from stillcal.replay.diagnosis.judged import (
     refuse_short,
     silent,
 )
-from stillcal.replay.diagnosis.sample_changes import clipped, low_passed
+from stillcal.replay.diagnosis.sample_changes import clipped, held_at, low_passed
 from stillcal.replay.formats.trace import Recording
 
 SAME_STAMP = 0.1
@@ -98,8 +100,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
         in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
         played = [*values.discrepancies, *in_motion]
         made = correct(simulation, played, {})
-        mean = mean_readings(recording, [made.recording])
-        left = align(readings_of(recording), mean, unsure, at_rest, steps)
+        own, other = _held(recording, made.recording)
+        left = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest, steps)
         after = without_found(exam, slow, left.found, left)
         measured = examined(made.recording, silent, sought=())
         measured = with_own_values(measured, simulated, of_other_values(played, made))
@@ -123,7 +125,7 @@ def rounding(exams: Sequence[Examination]) -> dict[str, Array]:
 def _alike(
     recording: Recording, simulation: Recording, exams: Sequence[Examination], values: Comparison
 ) -> tuple[Recording, Recording, float]:
-    """Return both with the limits and the low-passes of both, so that the rest can be judged.
+    """Return both with limits, low-passes and held samples of both, so that the rest can be judged.
 
     values: has the low-passes that differ. The third is the standard error, s, of what these delay.
     """
@@ -132,6 +134,7 @@ def _alike(
     own = _filtered(_limited(recording, limits), [d.simulated for d in filters])
     other = _filtered(_limited(simulation, limits), [d.recorded for d in filters])
     low_passes = [q for d in filters for q in (d.recorded, d.simulated) if not q.none]
+    own, other = _held(own, other)
     rate = 1.0 / sample_period(recording.accelerometer.t)
     return own, other, max((unsure_delay(one, rate) for one in low_passes), default=0.0)
 
@@ -182,6 +185,16 @@ def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
     return recording
 
 
+def _held(recording: Recording, simulation: Recording) -> tuple[Recording, Recording]:
+    """Return both with the samples held that either holds: such a one reads the motion of a moment before."""
+    for sensor, own, other in _shared_streams(recording, simulation):
+        again = held_rows(own) | held_rows(other)
+        recording, simulation = (
+            _changed(one, sensor, partial(held_at, again=again)) for one in (recording, simulation)
+        )
+    return recording, simulation
+
+
 def refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
     """Raise UserError where another recording holds the same samples: nothing is left between them."""
     own = recording.accelerometer.xyz
@@ -195,20 +208,14 @@ def refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
 
 def _refuse_other_stamps(recording: Recording, simulation: Recording) -> None:
     """Raise UserError where two recordings are not of the same moments, naming the first that differs."""
-    streams = (
-        ("accelerometer", recording.accelerometer, simulation.accelerometer),
-        ("gyroscope", recording.gyroscope, simulation.gyroscope),
-    )
-    for sensor, own, other in streams:
-        if own is None or other is None:
-            continue
+    for sensor, own, other in _shared_streams(recording, simulation):
         n = min(len(own), len(other))
         apart = np.abs(own.t[:n] - other.t[:n]) > SAME_STAMP * float(np.median(np.diff(own.t)))
         if apart.any():
             i = int(np.argmax(apart))
-            why = f"sample {i + 1} of the {sensor} is stamped {other.t[i]:.6g} s, not {own.t[i]:.6g} s"
+            why = f"sample {i + 1} of the {NAME[sensor]} is stamped {other.t[i]:.6g} s, not {own.t[i]:.6g} s"
         elif len(own) != len(other):
-            why = f"it has {len(other)} samples of the {sensor}, not {len(own)}"
+            why = f"it has {len(other)} samples of the {NAME[sensor]}, not {len(own)}"
         else:
             continue
         raise UserError(
@@ -248,6 +255,15 @@ def _refuse_shifted(recording: Recording, simulation: Recording) -> None:
         f" than {recording.name}; move its stamps by {shift * 1e3:+.0f} ms and interpolate it at those of"
         f" {recording.name}, or leave --paired out"
     )
+
+
+def _shared_streams(recording: Recording, simulation: Recording) -> list[tuple[str, Samples, Samples]]:
+    """Return the name of each sensor that both have, and its samples in both."""
+    both = {
+        "accel": (recording.accelerometer, simulation.accelerometer),
+        "gyro": (recording.gyroscope, simulation.gyroscope),
+    }
+    return [(s, own, other) for s, (own, other) in both.items() if own is not None and other is not None]
 
 
 def readings_of(recording: Recording) -> Readings:

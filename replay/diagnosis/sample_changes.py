@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import SHOWS_MORE
@@ -161,11 +162,15 @@ def _repeating(one: Discrepancy, seed: int) -> Change | None:
         return None
 
     def held(samples: Samples) -> Samples:
-        new = np.random.default_rng(seed).random(len(samples)) >= share
-        last = np.maximum.accumulate(np.where(new, np.arange(len(samples)), 0))
-        return replace(samples, xyz=frozen(samples.xyz[last]))
+        return held_at(samples, np.random.default_rng(seed).random(len(samples)) < share)
 
     return held
+
+
+def held_at(samples: Samples, again: NDArray[np.bool_]) -> Samples:
+    """Return samples of which some, (n,), have the values of the one before."""
+    last = np.maximum.accumulate(np.where(again, 0, np.arange(len(samples))))
+    return replace(samples, xyz=frozen(samples.xyz[last]))
 
 
 def _losing(one: Discrepancy, seed: int) -> Change | None:

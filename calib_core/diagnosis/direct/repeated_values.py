@@ -78,19 +78,25 @@ def without_doubles(samples: Samples) -> tuple[Samples, int]:
     return (samples.where(~same), int(same.sum())) if same.any() else (samples, 0)
 
 
-def without_held(samples: Samples) -> Samples:
-    """Return a stream without samples that repeat the one before though the values go on from there.
+def held_rows(samples: Samples) -> NDArray[np.bool_]:
+    """Return which rows repeat the one before though the values go on from there.
 
-    They do where the next other value is more than two steps away; what coarse steps repeat stays.
+    They do where the next other value is more than two steps away; what coarse steps repeat is not held.
     """
     again = repeating(samples.xyz)
     if not again.any():
-        return samples
+        return again
     other = np.append(np.flatnonzero(~again), len(samples) - 1)
     after = other[np.searchsorted(other[:-1], np.arange(len(samples)), side="right")]
     step = np.array([least_change(axis) for axis in samples.xyz.T])
     goes_on = np.abs(samples.xyz[after] - samples.xyz) > NEAR * step
-    return samples.where(~(again & goes_on.any(axis=1)))
+    return np.asarray(again & goes_on.any(axis=1))
+
+
+def without_held(samples: Samples) -> Samples:
+    """Return a stream without the samples that are held (`held_rows`)."""
+    again = held_rows(samples)
+    return samples.where(~again) if again.any() else samples
 
 
 def doubled(samples: Samples, count: int, once: float) -> Finding | None:

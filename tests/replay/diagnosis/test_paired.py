@@ -20,6 +20,7 @@ from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.paired import judge_paired, less, mean_readings, unsure_delay
+from stillcal.replay.diagnosis.sample_changes import held_at
 from stillcal.replay.diagnosis.witnesses import MISMATCH, judge_with_witnesses
 from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
@@ -91,6 +92,20 @@ def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> 
     assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01
     reasons = {n["effect"]: n["reason"] for n in said["not_compared"]}
     assert {"gyro_nonlinearity", "lever_arm", "accel_gyro_time_offset"}.isdisjoint(reasons)
+
+
+def test_samples_that_one_of_the_two_holds_leave_nothing_that_follows_motion() -> None:
+    real = turned(1)
+    assert real.gyroscope is not None
+    again = np.random.default_rng(3).random(len(real.gyroscope)) < 0.2
+    held = replace(
+        real,
+        accelerometer=held_at(real.accelerometer, again),
+        gyroscope=held_at(real.gyroscope, again),
+    )
+    said = judge_paired(held, turned(2)).answer
+    assert {(f["effect"], f["relation"]) for f in said["findings"]} == {("held_samples", "lacking")}
+    assert said["verdict"] == "identified" and said["fit"]["p_after"] > 0.01
 
 
 @pytest.mark.slow
