@@ -25,7 +25,7 @@ from stillcal.replay.formats.columns import load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.merge import Cut
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import is_own
+from stillcal.replay.formats.recognition.names.kinds import is_own
 from stillcal.replay.formats.recognition.settle import settled
 from stillcal.replay.formats.stream import filled_forward
 from stillcal.replay.formats.tables.dates import dates_in_seconds, is_date

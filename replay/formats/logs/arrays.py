@@ -27,14 +27,10 @@ from stillcal.replay.formats.logs.json_log import json_arrays, json_document
 from stillcal.replay.formats.logs.matlab import TooLongError, read_matlab
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import Log, LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import (
-    find_axes,
-    find_stamps,
-    is_own,
-    is_rate_hz,
-    qualified,
-    rates_alone,
-)
+from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.containers import qualified
+from stillcal.replay.formats.recognition.names.kinds import is_own, is_rate_hz, rates_alone
+from stillcal.replay.formats.recognition.names.stamps import find_stamps
 from stillcal.replay.formats.recognition.row_sensors import sensors_of_rows
 from stillcal.replay.formats.recognition.settle import OneSensor, settled
 from stillcal.replay.formats.sources import Source, unpacked_copy

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.names import find_axes, qualified
+from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.containers import qualified
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.json_records import Form, Records, form_of, read_document, read_records
 from stillcal.replay.formats.tables.json_table import JsonTable

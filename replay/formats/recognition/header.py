@@ -6,7 +6,7 @@ import itertools
 import re
 from collections.abc import Sequence
 
-from stillcal.replay.formats.recognition.names import find_axes
+from stillcal.replay.formats.recognition.names.axes import find_axes
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.text import uncommented

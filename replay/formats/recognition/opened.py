@@ -25,16 +25,10 @@ from stillcal.replay.formats.logs.sample_folder import sample_folder, sample_mem
 from stillcal.replay.formats.logs.ulog import open_ulog
 from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
-from stillcal.replay.formats.recognition.names import (
-    OWN,
-    called_otherwise,
-    find_axes,
-    is_own,
-    named_after,
-    qualified,
-    rates_alone,
-    without_gravity,
-)
+from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.containers import called_otherwise, named_after, qualified
+from stillcal.replay.formats.recognition.names.kinds import is_own, rates_alone, without_gravity
+from stillcal.replay.formats.recognition.names.vocabulary import OWN
 from stillcal.replay.formats.recognition.pairs import rates_file
 from stillcal.replay.formats.recognition.phone_export import members_of_folder, members_of_zip, phone_export
 from stillcal.replay.formats.recognition.row_sensors import refuse_devices_in_turn, sensors_of_rows

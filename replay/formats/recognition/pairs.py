@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from stillcal.calib_core.streams.samples import Sensor
-from stillcal.replay.formats.recognition.names import FILLERS, SENSOR_WORDS, split_words
+from stillcal.replay.formats.recognition.names.vocabulary import FILLERS, SENSOR_WORDS
+from stillcal.replay.formats.recognition.names.words import split_words
 
 _SHORTEST = 3
 """Letters of a word that is a sensor's also within another word, as in `myacc1`."""

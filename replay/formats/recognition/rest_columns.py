@@ -15,12 +15,9 @@ from pathlib import Path
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.columns import LONG_TIME_UNITS, TIME_UNITS, SensorMap, TemperatureMap
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.names import (
-    KNOWN_UNITS,
-    find_axes,
-    find_stamps,
-    find_thermometer,
-)
+from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.stamps import find_stamps, find_thermometer
+from stillcal.replay.formats.recognition.names.units import KNOWN_UNITS
 
 FORCE, RATE = ("ax", "ay", "az"), ("gx", "gy", "gz")
 FORCE_SCATTER, RATE_SCATTER = ("sax", "say", "saz"), ("sgx", "sgy", "sgz")

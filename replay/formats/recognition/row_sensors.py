@@ -14,7 +14,10 @@ from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, LoggedSensor
-from stillcal.replay.formats.recognition.names import find_axes, qualified, rates_alone, spaced, split_words
+from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.containers import qualified
+from stillcal.replay.formats.recognition.names.kinds import rates_alone
+from stillcal.replay.formats.recognition.names.words import spaced, split_words
 from stillcal.replay.formats.recognition.settle import OneSensor, settled_apart
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.chosen import ChosenRows, TableWithTexts

@@ -25,15 +25,10 @@ from stillcal.replay.formats.columns import (
 )
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import BOTH, LoggedSensor, Part
-from stillcal.replay.formats.recognition.names import (
-    SENSOR_WORDS,
-    Axes,
-    Stamps,
-    find_axes,
-    find_stamps,
-    find_thermometer,
-    unread_rates,
-)
+from stillcal.replay.formats.recognition.names.axes import Axes, find_axes
+from stillcal.replay.formats.recognition.names.kinds import unread_rates
+from stillcal.replay.formats.recognition.names.stamps import Stamps, find_stamps, find_thermometer
+from stillcal.replay.formats.recognition.names.vocabulary import SENSOR_WORDS
 from stillcal.replay.formats.recognition.settling.probe import Probe
 from stillcal.replay.formats.recognition.settling.time_column import time_of
 from stillcal.replay.formats.recognition.settling.units import gravity_unit, unit_of_force, unit_of_rates

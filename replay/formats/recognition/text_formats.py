@@ -25,7 +25,8 @@ from stillcal.replay.formats.recognition.header import (
     unnamed_place,
     with_units,
 )
-from stillcal.replay.formats.recognition.names import is_own, is_unit
+from stillcal.replay.formats.recognition.names.kinds import is_own
+from stillcal.replay.formats.recognition.names.units import is_unit
 from stillcal.replay.formats.recognition.rewritten import rewritten
 from stillcal.replay.formats.recognition.unnamed import names_of_rows
 from stillcal.replay.formats.sources import Source

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.replay.formats.recognition.names import find_axes, qualified, spaced
+from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.containers import qualified
+from stillcal.replay.formats.recognition.names.words import spaced
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.names import find_stamps, find_thermometer
+from stillcal.replay.formats.recognition.names.stamps import find_stamps, find_thermometer
 from stillcal.replay.formats.trace import Recording, read_all
 from tests.support.log_files import DATA, text
 

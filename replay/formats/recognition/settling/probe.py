@@ -14,10 +14,8 @@ from stillcal.replay.formats.columns import (
     find_columns,
 )
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.names import (
-    Axes,
-    Stamps,
-)
+from stillcal.replay.formats.recognition.names.axes import Axes
+from stillcal.replay.formats.recognition.names.stamps import Stamps
 from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.table import EMPTY, Table
 

@@ -16,9 +16,7 @@ from stillcal.replay.formats.columns import (
     TimeMap,
 )
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition.names import (
-    Stamps,
-)
+from stillcal.replay.formats.recognition.names.stamps import Stamps
 from stillcal.replay.formats.recognition.settling.probe import (
     MOSTLY_FORWARD,
     Probe,

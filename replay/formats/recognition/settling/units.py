@@ -17,10 +17,8 @@ from stillcal.replay.formats.checks.units import shown_unit
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Part
-from stillcal.replay.formats.recognition.names import (
-    KNOWN_UNITS,
-    Axes,
-)
+from stillcal.replay.formats.recognition.names.axes import Axes
+from stillcal.replay.formats.recognition.names.units import KNOWN_UNITS
 from stillcal.replay.formats.recognition.settling.probe import PROBED_ROWS, Probe
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.table import Table

@@ -1,0 +1,143 @@
+"""Columns that are the axes of a sensor.
+
+`acc_x [m/s^2]`, `gyroX`, `ax_g`, `a_RS_S_z [m s^-2]`, `accelerometer_m_s2[0]`, `linear_acceleration.x`: one
+word of a name is the axis, some are a unit, some say the quantity, and the rest tells the sensors of one log
+apart.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+
+from stillcal.calib_core.streams.samples import Sensor
+from stillcal.replay.formats.columns import Column
+from stillcal.replay.formats.recognition.names.units import (
+    FORCE,
+    KNOWN_UNITS,
+    OTHER_UNITS,
+    TURNING,
+    unit_at_end,
+    unit_in_brackets,
+)
+from stillcal.replay.formats.recognition.names.vocabulary import (
+    ACCELERATION,
+    ANGULAR,
+    ATTITUDE,
+    BODY_RATES,
+    FILLERS,
+    NO_AXES,
+    RATE,
+    RAW,
+    ROTATION,
+    TURNS,
+    VAGUE,
+    VECTOR,
+)
+from stillcal.replay.formats.recognition.names.words import cut
+
+_AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
+_NUMBERED = re.compile(r"^(?:v|vals?|values?|data)([012])$")
+"""Axes as Android counts the values of an event."""
+
+_AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
+_TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Three columns of one sensor. label: what else the names say; unit: None where they do not.
+
+    unit is none of KNOWN_UNITS where they say one that is not known.
+    quantity: the words for what it measures.
+    """
+
+    sensor: Sensor
+    label: str
+    columns: tuple[Column, Column, Column]
+    unit: str | None
+    quantity: str = ""
+
+    def listed(self) -> str:
+        """Return the names of its columns, one after the other."""
+        return " ".join(map(str, self.columns))
+
+    def called(self, words: Set[str]) -> bool:
+        """Whether one of `words` is among those for what it measures."""
+        return not words.isdisjoint(self.quantity.split("_"))
+
+
+@dataclass(frozen=True, slots=True)
+class _Word:
+    sensor: Sensor
+    axis: int
+    label: str
+    unit: str | None
+    quantity: str
+
+
+def find_axes(names: Sequence[str]) -> list[Axes]:
+    """Return the sensors whose three axes are all there: raw ones first, else in the table's order.
+
+    Those of a vague name are left out where the same sensor has a plain one.
+    """
+    found: dict[tuple[Sensor, str, str | None, str], dict[int, str]] = {}
+    for name in names:
+        word = axis_of(name)
+        if word is not None:
+            key = (word.sensor, word.label, word.unit, word.quantity)
+            found.setdefault(key, {}).setdefault(word.axis, name)
+    axes = [
+        Axes(sensor, label, (columns[0], columns[1], columns[2]), unit, quantity)
+        for (sensor, label, unit, quantity), columns in found.items()
+        if len(columns) == 3
+    ]
+    plain = {(a.sensor, a.label) for a in axes if not a.called(VAGUE)}
+    certain = (a for a in axes if not a.called(VAGUE) or (a.sensor, a.label) not in plain)
+    return sorted(certain, key=lambda a: not a.called(RAW))
+
+
+def axis_of(name: str) -> _Word | None:
+    """Return which axis of which sensor a column is, None where it is none."""
+    bracket, words = cut(name)
+    unit, by_unit = unit_in_brackets(name, bracket)
+    axis, words = split_axis(bracket, words)
+    if axis is None:
+        return None
+    stated, words = unit_at_end(words)
+    kinds = set(words)
+    unit = unit or next(iter(OTHER_UNITS & {bracket, *words}), None)
+    acceleration = bool(kinds & ACCELERATION) or by_unit in FORCE
+    rate = bool(kinds & RATE) or {"ang", "vel"} <= kinds or by_unit in TURNING
+    attitude = bool(kinds & VECTOR and kinds & ROTATION)
+    other = attitude or bool(kinds & NO_AXES) or (acceleration and bool(kinds & ANGULAR))
+    if other or not (acceleration or rate):
+        return None
+    sensor = Sensor.ACCELEROMETER if acceleration else Sensor.GYROSCOPE
+    unit = unit or stated or ("g" if kinds & {"gforce", "gf"} else None)
+    if unit in KNOWN_UNITS and (unit in FORCE) != acceleration:
+        unit = None
+    plain = ACCELERATION | RATE | FILLERS
+    label, quantity = ("_".join(w for w in words if (w in plain) is said) for said in (False, True))
+    return _Word(sensor, axis, label, unit, quantity)
+
+
+def split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
+    """Return the axis and the words without it."""
+    for i in reversed(range(len(words))):
+        if words[i] in ("x", "y", "z"):
+            return _AXES[words[i]], words[:i] + words[i + 1 :]
+        numbered = _NUMBERED.match("".join(words[max(i - 1, 0) : i + 1])) or _NUMBERED.match(words[i])
+        if numbered:
+            return _AXES[numbered[1]], words[: i if words[i][0].isalpha() else i - 1] + words[i + 1 :]
+        turns = _TURN_IN_ONE.match(words[i])
+        if turns or (words[i] in ATTITUDE and TURNS & set(words)):
+            about = turns[1] if turns else words[i]
+            return ATTITUDE[about], [*words[:i], "bodyrate", *words[i + 1 :]]
+        if words[i] in BODY_RATES and len(words[i + 1 :]) <= 2:
+            return BODY_RATES[words[i]], [*words[:i], "bodyrate", *words[i + 1 :]]
+        ends = _AXIS_AT_END.match(words[i])
+        if ends and ends[1] in (ACCELERATION | RATE):
+            return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :]]
+    return (_AXES[bracket], words) if bracket in _AXES else (None, words)
