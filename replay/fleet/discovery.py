@@ -9,8 +9,9 @@ from pathlib import Path
 
 from stillcal.replay.formats.claims import beside
 from stillcal.replay.formats.columns import builtin_formats, load_map
+from stillcal.replay.formats.recognition.by_map import other_file
 from stillcal.replay.formats.recognition.candidates import is_one_recording, may_be_recording
-from stillcal.replay.formats.recognition.opened import AUTO, other_file
+from stillcal.replay.formats.recognition.opened import AUTO
 from stillcal.replay.formats.recognition.pairs import rates_file
 
 RESULTS = ("recordings.parquet", "findings.parquet")
