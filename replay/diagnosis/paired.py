@@ -12,6 +12,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import KnownBefore, Readings, align
 from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     compare_in_pair,
     without_equation,
@@ -25,7 +26,6 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import (
     with_own_of_simulation,
     with_owner_of_unknown,
 )
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings, align
 from stillcal.calib_core.diagnosis.comparison.quantity import Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.direct.repeated_values import held_rows
@@ -85,7 +85,8 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     still = simulated.bins.rate
     at_rest = None if still is None or not len(still) else np.median(still, axis=0)
     steps = rounding(exams)
-    motion = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest, steps)
+    known = KnownBefore(unsure, at_rest, steps)
+    motion = align(readings_of(own), mean_readings(own, [other]), known)
     true = motion.readings
     apart, charging = less(own, true), charging_events(recording)
     bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=steps)
@@ -101,7 +102,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
         played = [*values.discrepancies, *in_motion]
         made = correct(simulation, played, {})
         own, other = _held(recording, made.recording)
-        left = align(readings_of(own), mean_readings(own, [other]), unsure, at_rest, steps)
+        left = align(readings_of(own), mean_readings(own, [other]), known)
         after = without_found(exam, slow, left.found, left)
         measured = examined(made.recording, silent, sought=())
         measured = with_own_values(measured, simulated, of_other_values(played, made))

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.clocks import MOST_LATE
 from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     compare_in_pair,
@@ -22,7 +23,6 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, Mounting, mounting
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.vote import voted
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_own_of_simulation
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.timed import Step
 from stillcal.calib_core.diagnosis.effects.warmup import Warmup

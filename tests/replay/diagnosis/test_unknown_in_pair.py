@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_owner_of_unknown
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, Readings
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
 from stillcal.calib_core.diagnosis.effects.unknown import Unknown

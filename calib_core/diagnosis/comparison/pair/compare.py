@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment
 from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, none_of, taken_out
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import axes_of

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.clocks import Clock, roughly
 from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     LEAST_PIECES,
@@ -20,7 +21,6 @@ from stillcal.calib_core.diagnosis.comparison.pair.delay import (
     PIECES,
     SIZE,
 )
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.residuals import BIAS_SIZE, MISALIGNMENT_SIZE
 from stillcal.calib_core.diagnosis.motion.block_regression import Regression, of_arm

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.case import Case

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Readings
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
 from stillcal.replay.diagnosis.paired import less
 from tests.support.diagnosis.turned_pairs import turned

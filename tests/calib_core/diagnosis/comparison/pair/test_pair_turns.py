@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.pair.turns import Alignment, align
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, KnownBefore, align
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.replay.diagnosis.paired import mean_readings, readings_of
 from stillcal.replay.formats.trace import Recording
@@ -52,7 +52,7 @@ def late(force: Array, rate: Array) -> tuple[Array, Array]:
 
 def test_a_delay_that_may_be_that_of_low_passes_is_told_and_not_stated() -> None:
     own = turned(1, late)
-    shown = align(readings_of(own), mean_readings(own, [turned(101)]), unsure=0.004)
+    shown = align(readings_of(own), mean_readings(own, [turned(101)]), KnownBefore(unsure=0.004))
     assert shown.found == []
     (why,) = shown.hidden.values()
     assert why.startswith("the gyroscope is 7.9 ms further behind the accelerometer")
@@ -99,7 +99,7 @@ def test_what_motion_dithers_of_coarse_steps_is_no_effect_of_turns(gain: float, 
     own = in_steps(turned(1, lambda force, rate: (force, rate + gain * np.maximum(rate, 0.0))))
     mean = mean_readings(own, [in_steps(turned(101))])
     assert len(align(readings_of(own), mean).found) == 1
-    shown = align(readings_of(own), mean, rounding={"gyro": np.full(3, step / np.sqrt(6.0))})
+    shown = align(readings_of(own), mean, KnownBefore(rounding={"gyro": np.full(3, step / np.sqrt(6.0))}))
     assert len(shown.found) == told
     assert list(shown.hidden) == ([] if told else [("unknown", "gyro")])
 
@@ -112,6 +112,6 @@ def test_a_bias_of_both_gyroscopes_makes_no_square_of_a_cube() -> None:
         return cubed(force, rate)[0], cubed(force, rate)[1] + bias
 
     own, other = turned(1, with_bias), turned(101, lambda force, rate: (force, rate + bias))
-    (one,) = align(readings_of(own), mean_readings(own, [other]), 0.0, bias).quantities
+    (one,) = align(readings_of(own), mean_readings(own, [other]), KnownBefore(at_rest=bias)).quantities
     assert one.effect == "gyro_nonlinearity"
     np.testing.assert_array_less(np.abs(one.value[:3]), 3.0 * one.sigma[:3] + 1e-5)
