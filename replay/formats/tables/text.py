@@ -331,7 +331,9 @@ class _LinesAbove:
 
     def are_in(self, data: bytes) -> bool:
         """Whether some of them may be among the lines of `data`."""
-        return b"\n#" in data or data.startswith(b"#") or any(mark in data for mark in self._marks)
+        # Most tables have no # at all, and one byte is found some fifty times as fast as two.
+        comments = b"#" in data and (b"\n#" in data or data.startswith(b"#"))
+        return comments or any(mark in data for mark in self._marks)
 
     def passed_over(self, line: str, number: int) -> bool:
         """Whether a line is one of them; if so, it is counted."""
