@@ -77,12 +77,20 @@ class Steps:
         return self.over_noise() > HIDDEN
 
     def still_at_rest(self) -> bool:
-        """Whether values at rest stay on one step."""
-        return self.largest > 0.0 and not self.sd.any()
+        """Whether values at rest stay on one step, or between two: they are half a step off at most.
+
+        Noise of `most_hidden` leaves them at 0.52 of a step and more, wherever between two steps they lie.
+        """
+        return self.largest > 0.0 and bool((self.sd <= self._of_each / 2.0).all())
 
     def most_hidden(self) -> Array:
-        """Return the sd (3,) of noise with which values at rest would not stay on one step, at most."""
-        return np.where(self.step > 0.0, self.step, self.largest) / DITHERED
+        """Return the sd (3,) of noise with which values at rest would leave two steps, at most."""
+        return self._of_each / DITHERED
+
+    @property
+    def _of_each(self) -> Array:
+        """The step of each axis, the largest where none is seen."""
+        return np.where(self.step > 0.0, self.step, self.largest)
 
     def left_in_mean(self) -> Array:
         """Return the sd (3,) of the error that steps leave in a mean at most; 0 where noise dithers them."""

@@ -184,7 +184,8 @@ def stepped(noise: float, step: float, seed: int) -> Samples:
 
 
 @pytest.mark.parametrize(
-    ("noise", "step", "told"), [(0.0, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False), (0.0, 0.0, True)]
+    ("noise", "step", "told"),
+    [(0.0, 0.01, True), (0.002, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False), (0.0, 0.0, True)],
 )
 def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
     noise: float, step: float, told: bool
@@ -198,5 +199,6 @@ def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
     assert ((LEVEL, "lacking") in [(d.effect, d.relation) for d in found]) == told
     put_in = "All else was judged with the noise of a quiet phone put into sim."
     assert (put_in in [d.note for d in found if d.effect == LEVEL]) == (not step and not noise)
+
     if not noise and not told:
         assert simulated is None and why_no_density(exams[1].streams[0]).endswith("steps that hide the noise")
