@@ -21,7 +21,11 @@ from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import (
     sought,
 )
 from stillcal.calib_core.diagnosis.comparison.coverage.why_not_compared import why_not_compared
-from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity, stamp_quantities
+from stillcal.calib_core.diagnosis.comparison.direct import (
+    delay_quantity,
+    stamp_quantities,
+    stamped_in_bursts,
+)
 from stillcal.calib_core.diagnosis.comparison.linear.quantities import linear_quantities
 from stillcal.calib_core.diagnosis.comparison.linear.reference_point import (
     mean_temperatures,
@@ -220,8 +224,8 @@ def _sides(exams: tuple[Examination, Examination], asked: _Asked) -> list[dict[K
     ]
     shown = where_both_agree(shown, means, settling, anew)
     shown = not_logged.with_unknown_temperature(shown, asked.unlogged)
-    more = white_noise.of_both((recorded, simulated))
-    shown = [side | noise for side, noise in zip(shown, more, strict=True)]
+    more = white_noise.of_both((recorded, simulated)), stamped_in_bursts((recorded, simulated))
+    shown = [bursts | side | noise for side, noise, bursts in zip(shown, *more, strict=True)]
     sides = white_noise.without_repeated(shown)
     if asked.steady:
         sides[1] = of_any_course(simulated, asked.of_simulation, asked.steady, sides[1])

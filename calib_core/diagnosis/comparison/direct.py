@@ -22,9 +22,10 @@ from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE as ALIKE_DELA
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
-from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
+from stillcal.calib_core.diagnosis.stamps.clock import stamped_share
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_JITTER
 from stillcal.calib_core.diagnosis.stamps.timestamps import LEAST_SHARE as LEAST_DROPPED
 from stillcal.calib_core.streams.samples import Samples
@@ -120,6 +121,17 @@ def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple
             key, share = (effect, stream.sensor), _linear(measured, LEAST_HELD, 1.0)
             part = Part("fraction", "1", 1)
             out[key] = measured, _logarithm(key, part, share, LEAST_SHARE, stream.samples)
+    return out
+
+
+def stamped_in_bursts(exams: Sequence[Examination]) -> list[dict[Key, Quantity]]:
+    """Return the shares of samples stamped in bursts, where the stamps of one of two are of deliveries."""
+    if any(exam.is_table for exam in exams) or not any(bunched(exam.accelerometer.t) for exam in exams):
+        return [{} for _ in exams]
+    key, out = ("arrival_bursts", "timing"), []
+    for samples in (exam.accelerometer for exam in exams):
+        share = stamped_share(samples.t, sample_period(samples.t))
+        out.append({key: _logarithm(key, Part("fraction", "1", 1), share, LEAST_SHARE, samples)})
     return out
 
 

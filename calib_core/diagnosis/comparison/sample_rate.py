@@ -8,7 +8,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Part, Quantity
 from stillcal.calib_core.diagnosis.model.measurement import mean_of
 from stillcal.calib_core.diagnosis.model.records import Where
-from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, intervals, sample_period
 from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
 from stillcal.calib_core.streams.samples import Samples
 
@@ -25,8 +25,8 @@ def rate(samples: Samples) -> Quantity:
     Samples that are missing count, for they were measured; stamps in bursts are counted over time.
     """
     if bunched(samples.t):
-        pieces = [p for p in np.array_split(samples.t, PIECES) if p.size > 1 and p[-1] > p[0]]
-        mean = mean_of(-np.log([sample_period(p) for p in pieces]), LEAST_RATE_ERROR)
+        pieces = [p.mean() for p in np.array_split(intervals(samples.t), PIECES) if p.size and p.any()]
+        mean = mean_of(-np.log(pieces), LEAST_RATE_ERROR)
     else:
         grid = Grid.of(samples.t, sample_period(samples.t))
         mean = grid.mean_rate(min(PIECES, len(samples) - 1), LEAST_RATE_ERROR)[0]

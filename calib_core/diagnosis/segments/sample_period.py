@@ -14,6 +14,11 @@ HEELS = 0.5
 ON_GRID = 0.15
 """Periods by which the intervals of stamps with gaps may be off a multiple of the period, rms."""
 
+PAIRS, IN_PART = 10, 5
+"""Pairs of parts, of some gaps each on average, that are enough to tell whether these come evenly."""
+
+CHANCE = 0.01
+"""Chance by which losses may seem to come more evenly than they do: nothing is said of them then."""
 
 PAUSE_S, PAUSE_PERIODS = 1.0, 50.0
 """An interval of at least 1 s and 50 usual ones is a pause: nothing was sampled, or nothing of it is held."""
@@ -31,7 +36,7 @@ def bunched(t: Array) -> bool:
     """Whether stamps t (n,) come in bursts, so that the usual interval says nothing of the rate.
 
     Most samples then come on the heels of another, and the waits between bursts are no multiples of that
-    interval. Where samples are missing they are.
+    interval, or equal numbers of samples take equal times. Where samples are missing neither holds.
     """
     steps = intervals(t)
     if steps.size == 0:
@@ -42,17 +47,27 @@ def bunched(t: Array) -> bool:
         return False
     waits = steps[steps > 1.5 * middle] / max(middle, 1e-12)
     off = waits - np.rint(waits)
-    return middle <= 0.0 or waits.size == 0 or rms(off) > ON_GRID
+    return middle <= 0.0 or waits.size == 0 or rms(off) > ON_GRID or _in_equal_times(steps, waits.size)
+
+
+def _in_equal_times(steps: Array, waits: int) -> bool:
+    """Whether as many samples take as much time: sums of intervals (n,) s scatter less than chance has it.
+
+    So it is where samples wait and come together, and not where as many as that are missing. Stamps that are
+    rounded, or computed, have waits that are multiples of the shorter intervals by themselves.
+    """
+    from scipy.special import chdtr  # noqa: PLC0415 - the daemon stays light
+
+    pairs = waits // (2 * IN_PART)
+    if pairs < PAIRS:
+        return False
+    sums = np.add.reduceat(steps, np.arange(2 * pairs) * steps.size // (2 * pairs))
+    variance = steps.size / (2.0 * pairs) * float(steps.var())
+    return float(chdtr(pairs, ((sums[1::2] - sums[::2]) ** 2).sum() / (2.0 * variance))) < CHANCE
 
 
 ON_STEPS = 1e-3
 """Usual intervals by which each interval may be off a multiple of it, where stamps are rounded to as much."""
-
-PAIRS, IN_PART = 10, 5
-"""Pairs of parts, of some gaps each on average, that are enough to tell whether these come evenly."""
-
-CHANCE = 0.01
-"""Chance by which losses may seem to come more evenly than they do: nothing is said of them then."""
 
 
 def more_even_than_chance(lost: Array) -> bool:

@@ -217,11 +217,16 @@ def _bursts(t: Array, waiting: tuple[Array, float], common: Usual, where: Where)
     return direct_finding("arrival_bursts", "timing", [], where, parameter, statement=say, seen=seen)
 
 
-def _stamped_in_bursts(t: Array, period: float, common: Usual, where: Where) -> Finding | None:
-    """State stamps that are times of delivery: most samples are stamped on the heels of another."""
+def stamped_share(t: Array, period: float) -> Measured:
+    """Return the share of samples that are stamped, t (n,) s, on the heels of the one before."""
     heels = np.diff(t) < ON_HEELS * period
     runs = int((heels[1:] & ~heels[:-1]).sum()) + 1
-    fraction = share_of(float(heels.sum()), float(heels.size), float(heels.sum()) / runs)
+    return share_of(float(heels.sum()), float(heels.size), max(float(heels.sum()) / runs, 1.0))
+
+
+def _stamped_in_bursts(t: Array, period: float, common: Usual, where: Where) -> Finding | None:
+    """State stamps that are times of delivery: most samples are stamped on the heels of another."""
+    fraction = stamped_share(t, period)
     seen = of_measured(fraction.log(LEAST_SHARE), common)
     say = (
         f"{fraction.value:.0%} of the samples are stamped in bursts, within {ON_HEELS:.0%} of the mean"

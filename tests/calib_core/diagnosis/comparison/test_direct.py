@@ -216,3 +216,16 @@ def test_the_same_delays_of_a_host_are_as_many_bursts_at_another_rate(every_s: f
     found = [posterior(p.log_bayes_factor, 30) for p in pairs]
     assert found[0] > 0.95 if differ else found[0] < 0.1
     assert found[1] > 0.95, "each among its own samples"
+
+
+def test_stamps_that_come_in_bursts_are_a_difference() -> None:
+    """A simulation of even stamps matched: no times of arrival said that they were in bursts."""
+    rng = np.random.default_rng(4)
+    even = np.arange(20000) / 50.0
+    bursts = np.repeat(even[4::5], 5) - 0.001 * np.tile(np.arange(4, -1, -1), 4000)
+    xyz = np.array([0.0, 0.0, 9.81]) + rng.normal(0.0, 0.02, (even.size, 3))
+    exams = [examine(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), None, sought=()) for t in
+             (bursts, even)]  # fmt: skip
+    for pair, relation in ((exams, "lacking"), (exams[::-1], "superfluous"), (exams[:1] * 2, None)):
+        found = compare(pair[0], pair[1], ("rec", "sim")).discrepancies
+        assert [(d.effect, d.relation) for d in found] == ([("arrival_bursts", relation)] if relation else [])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.sample_rate import rate as rate_of
 from stillcal.calib_core.diagnosis.direct.quantities import of_stamps
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
@@ -29,6 +30,28 @@ def test_stamps_in_bursts_have_the_rate_of_samples_over_time() -> None:
     t = in_bursts()
     assert np.median(np.diff(t)) < 0.003, "the usual interval is the host's"
     assert bunched(t) and sample_period(t) == pytest.approx(0.01, rel=0.01)
+
+
+@pytest.mark.parametrize(("rounded", "heel"), [(1e-3, 0.001), (1e-3, 0.002), (1e-4, 2e-4)])
+def test_rounded_stamps_in_bursts_are_no_samples_that_are_missing(rounded: float, heel: float) -> None:
+    """Five at a time, 1 ms apart, and 95 ms of waiting are no 1000 Hz of which 94 in 100 samples are lost."""
+    rng = np.random.default_rng(3)
+    for size in (np.full(N // 5, 5), rng.integers(2, 8, N // 5)):
+        last = np.repeat(np.cumsum(size), size)
+        t = last / 50.0 - heel * (last - 1 - np.arange(last.size))
+        t = rounded * np.rint(t / rounded)
+        assert bunched(t) and sample_period(t) == pytest.approx(0.02, rel=1e-3)
+        rate = np.exp(rate_of(Samples.checked(Sensor.ACCELEROMETER, t, np.zeros((t.size, 3)))).value)
+        assert rate == pytest.approx(50.0, rel=1e-2)
+
+
+def test_an_outage_now_and_then_makes_no_bursts() -> None:
+    """Two thirds of the samples are lost, some hundred at a time."""
+    rng = np.random.default_rng(4)
+    for on, off in ((100, 200), (20, 40)):
+        runs = np.column_stack([rng.geometric(1 / on, 400), rng.geometric(1 / off, 400)]).ravel()
+        t = np.flatnonzero(np.repeat(np.arange(runs.size) % 2 == 0, runs)) / 50.0
+        assert not bunched(t) and sample_period(t) == pytest.approx(0.02, rel=1e-3)
 
 
 def test_missing_samples_and_jitter_are_no_bursts() -> None:
