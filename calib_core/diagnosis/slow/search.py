@@ -260,7 +260,7 @@ def prefer_pair(residuals: SensorResiduals, step: Step, before: Sequence[Hypothe
     if step.winner.hypothesis.effect.name != "unknown":
         return step
     named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
-    best, chosen = _as_likely_beforehand(step.winner) - thresholds.UNKNOWN_MARGIN, step
+    best, chosen = as_likely_beforehand(step.winner) - thresholds.UNKNOWN_MARGIN, step
     for one in named:
         effects = [
             s.hypothesis.effect for s in named if not _spent(s.hypothesis.effect, one.hypothesis.effect)
@@ -309,10 +309,10 @@ def prefer_named(residuals: SensorResiduals, step: Step, before: Sequence[Hypoth
     if step.winner.hypothesis.effect.name != "unknown":
         return step
     named = [s for s in step.others if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
-    fine = sorted((sharpened(residuals, s, before) for s in named), key=lambda s: -_as_likely_beforehand(s))
+    fine = sorted((sharpened(residuals, s, before) for s in named), key=lambda s: -as_likely_beforehand(s))
     others = [*fine, *(s for s in step.others if s not in named)]
     for s in fine:
-        if _as_likely_beforehand(step.winner) - _as_likely_beforehand(s) < thresholds.UNKNOWN_MARGIN:
+        if as_likely_beforehand(step.winner) - as_likely_beforehand(s) < thresholds.UNKNOWN_MARGIN:
             return Step(s, (step.winner, *(other for other in others if other is not s)))
     return Step(step.winner, tuple(sorted(others, key=lambda s: -s.score)))
 
@@ -326,7 +326,7 @@ def prefer_original(step: Step) -> Step:
     return Step(copied[0], (own, *(s for s in step.others if s is not copied[0])))
 
 
-def _as_likely_beforehand(one: Scored) -> float:
+def as_likely_beforehand(one: Scored) -> float:
     """Return a score without its penalty, which is for what wander looks like: here something surely is."""
     effect = one.hypothesis.effect
     penalty = thresholds.UNKNOWN_PENALTY if effect.name == "unknown" else 0.0

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Alternative, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, evidence_of, parameters, tried
-from stillcal.calib_core.diagnosis.slow.search import Scored, Step
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, as_likely_beforehand
 
 GRID_STRIDE = 3
 """Each third point of the fine grid is a candidate in every fold: neighbours are alike."""
@@ -84,8 +84,14 @@ def _first_in(
 
     An effect that was picked from many curves or grid points gives away the logarithm of their number, and
     one without a name what names are preferred by. A copy is no rival: it says the same of the recording.
+    Nor is another name that cannot be told from it and is stated beside it.
     """
-    different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
+    different = [
+        (s, h)
+        for s, h in rivals
+        if not copies(own[0].hypothesis, s.hypothesis)
+        and (s.hypothesis.effect.name == "unknown" or not _alike(s, own[0]))
+    ]
     mine, *others = (
         np.array(h.training) - np.log(tried(residuals, s.hypothesis)) - _given_away(s)
         for s, h in (own, *different)
@@ -134,11 +140,14 @@ def _predicted(
 
 
 def _alternative(other: Scored, winner: Scored, before: HeldOut, after: HeldOut) -> Alternative:
-    return Alternative(
-        other.hypothesis.effect.name,
-        after.log_score - before.log_score,
-        bool(winner.score - other.score < thresholds.MARGIN),
-    )
+    gain = after.log_score - before.log_score
+    return Alternative(other.hypothesis.effect.name, gain, _alike(other, winner))
+
+
+def _alike(other: Scored, winner: Scored) -> bool:
+    """Whether a recording cannot tell another effect from the one that was chosen."""
+    apart = as_likely_beforehand(winner) - as_likely_beforehand(other)
+    return bool(apart < thresholds.MARGIN)
 
 
 def named_axes(found: Estimate) -> list[str]:

@@ -289,6 +289,21 @@ def test_a_second_step_that_may_undo_the_first_takes_the_name_of_both() -> None:
     assert _to_and_fro([up, of(-2e-3, 1e-3, 0.0)]) == "" == _to_and_fro([up])
 
 
+@pytest.mark.parametrize("sensor", ["accel", "gyro"])
+def test_what_a_heated_chamber_shows_keeps_its_name_beside_a_drift_that_explains_it_as_well(
+    sensor: str,
+) -> None:
+    """As the temperature rises steadily, folds may prefer the drift by a tenth of a nat: it was unknown."""
+    rng, day = day_of(1, seconds=SECONDS)
+    day = replace(day, temperature=np.linspace(-5.0, 50.0, day.t.size))
+    error = np.outer(day.temperature - 20.0, [1e-4, 2e-4, -1e-4]) * (20.0 if sensor == "accel" else 1.0)
+    effect = {f"{sensor}_error": error}
+    residuals = by_sensor(nulls.bins_of(rng, day, "white", **effect), nulls.G)  # type: ignore[arg-type]
+    (one,) = slow_findings(next(r for r in residuals if r.sensor == sensor))
+    assert one.effect == f"{sensor}_bias_temperature"
+    assert [a.effect for a in one.alternatives if a.indistinguishable] == [f"{sensor}_bias_drift"]
+
+
 def two_steps(seed: int) -> tuple[SensorResiduals, list[Array]]:
     """Return the accelerometer's residuals of 40 minutes with two steps of 50 mm/s^2, and these."""
     rng, day = day_of(seed, seconds=SECONDS)
