@@ -164,6 +164,7 @@ def _finding(
     own = one.recorded or one.simulated or stated.get((side, one.effect, one.sensor))
     # What is measured in both needs no rival that one recording by itself could not tell.
     in_both = one.difference is not None and one.effect.endswith(MEASURED_ELSEWHERE)
+    alternatives = [*([] if own is None or in_both else own.alternatives), *one.alternatives]
     out: dict[str, Any] = {
         "effect": one.effect,
         "sensor": one.sensor,
@@ -175,7 +176,7 @@ def _finding(
             "driver": one.where.driver,
         },
         "parameters": {},
-        "alternatives": [] if own is None or in_both else [_alternative(a) for a in own.alternatives],
+        "alternatives": [_alternative(a) for a in alternatives],
         "relation": one.relation,
         "probability": one.true,
         "difference": {},

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import sample_rate
+from stillcal.calib_core.diagnosis.comparison.clock_or_scale import with_clock
 from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import driven, excluded, of_any_course
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import (
@@ -109,6 +110,7 @@ def compare(recorded: Examination, simulated: Examination, names: tuple[str, str
         replace(d, note=_assumed(d, asked.steady, names) or _noise_put_in(d, exams, names))
         for d in whole.discrepancies
     ]
+    found = with_clock(found, compared, exams[0], names[0])
     return replace(whole, discrepancies=found, smallest=smallest)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, Relation
-from stillcal.calib_core.diagnosis.model.records import Departure, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Alternative, Departure, Finding, Where
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, STATEMENTS_TRUE
 
 Verdict = Literal["match", "identified", "partly_identified", "unidentified", "not_judged"]
@@ -29,6 +29,7 @@ class Discrepancy:
     recording's finding where it comes from one. note: what was assumed, a sentence, "" for nothing.
     put_right: of exchanged axes, whose they are and that all else was compared without, "" if it was not.
     of_either: whether it is not known which of the two has it; the relation is then as if the recording had.
+    alternatives: what else the two may differ by, beside those of a single recording's finding.
     """
 
     effect: str
@@ -44,6 +45,7 @@ class Discrepancy:
     note: str = ""
     put_right: str = ""
     of_either: bool = False
+    alternatives: tuple[Alternative, ...] = ()
 
     @property
     def true(self) -> float:

@@ -10,6 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.linear.quantities import linear_quantities
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Claims
@@ -21,11 +22,11 @@ from tests.support import report_days
 FAST = 3e-3
 
 
-def by_a_fast_clock(samples: Samples, *, arrives: bool) -> Samples:
-    """Return samples stamped by a clock that is fast by `FAST`. arrives: whether the host's time is kept."""
+def by_a_fast_clock(samples: Samples, *, arrives: bool, fast: float = FAST) -> Samples:
+    """Return samples stamped by a clock that runs fast. arrives: whether the host's time is kept."""
     late = np.random.default_rng(3).uniform(0.002, 0.006, len(samples))
     arrival = samples.t + late if arrives else None
-    return replace(samples, t=samples.t * (1.0 + FAST), t_arrival=arrival)
+    return replace(samples, t=samples.t * (1.0 + fast), t_arrival=arrival)
 
 
 def gyro_scale(recording: Recording) -> Array:
@@ -44,6 +45,44 @@ def test_the_scale_of_the_gyroscope_is_that_at_the_hosts_time() -> None:
         )
         stretched = replace(recording, accelerometer=accelerometer, gyroscope=gyroscope)
         assert true.diagonal() - gyro_scale(stretched).diagonal() == pytest.approx(off, abs=FAST / 5.0)
+
+
+def evenly_stamped(samples: Samples) -> Samples:
+    """Return samples whose stamps are computed from their rate."""
+    return replace(samples, t=frozen(np.linspace(samples.t[0], samples.t[-1], len(samples))))
+
+
+def of_scale(recording: Recording, simulation: Examination) -> Discrepancy:
+    """Return what is said of the gyroscope's scale."""
+    found = compare(examined(recording, sought=()), simulation, ("real.csv", "sim.csv")).discrepancies
+    return next(d for d in found if d.effect == "gyro_scale")
+
+
+def test_a_scale_alike_on_all_axes_may_be_the_clocks() -> None:
+    recording = report_days.recorded(report_days.phone_with(), 5, part_s=240.0)
+    simulation = examined(report_days.recorded(report_days.phone_with(), 6, part_s=240.0), sought=())
+    assert recording.gyroscope is not None
+    stamped = {
+        arrives: replace(
+            recording,
+            accelerometer=by_a_fast_clock(recording.accelerometer, arrives=arrives, fast=0.02),
+            gyroscope=by_a_fast_clock(recording.gyroscope, arrives=arrives, fast=0.02),
+        )
+        for arrives in (True, False)
+    }
+    said = of_scale(stamped[False], simulation)
+    assert [(a.effect, a.indistinguishable) for a in said.alternatives] == [("clock_skew", True)]
+    assert "the sample rates differ by as much: stamps that run 2" in said.note and "fast" in said.note
+    alone = replace(recording.gyroscope, t_arrival=None)
+    larger = replace(alone, xyz=frozen(1.02 * alone.xyz))
+    larger_x = replace(alone, xyz=frozen([1.02, 1.0, 1.0] * alone.xyz))
+    cases = ((larger, False), (evenly_stamped(larger), True), (evenly_stamped(larger_x), False))
+    for gyroscope, may_be in cases:
+        said = of_scale(replace(recording, gyroscope=gyroscope), simulation)
+        assert bool(said.alternatives) is may_be
+        assert ("the stamps of real.csv are even" in said.note) is may_be
+    effects = compare(examined(stamped[True], sought=()), simulation, ("real.csv", "sim.csv")).discrepancies
+    assert "gyro_scale" not in {d.effect for d in effects}
 
 
 def at_rest(rate: float, seed: int) -> Examination:
