@@ -71,7 +71,7 @@ class Fit:
         effects, still = motion.equations(self.delay, self.growth)
         about = replace(self, effects=effects, still=still)
         sums, (apart,) = about._beside(_growing(effects, motion.age()))
-        return DelayTrend(sums, apart, self.growth)
+        return DelayTrend(sums, apart, self.delay, self.growth)
 
     def _beside(self, more: Sequence[Spectrum]) -> tuple[Regression, list[float]]:
         """Return the equations with further columns, spectra (f, 3, k) a window, and how parts disagree."""

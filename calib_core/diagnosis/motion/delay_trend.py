@@ -25,14 +25,20 @@ DRIVER = "rate of turn, with time"
 class DelayTrend:
     """By how much a delay grows from the first window to the last.
 
-    growth: s, with its error; log_chance: of a delay that stays being seen to grow so much.
+    growth: s, with its error; middle: s, the delay halfway; log_chance: of a delay that stays being seen to
+    grow so much.
     """
 
-    def __init__(self, sums: Regression, apart: float, about: float) -> None:
-        """Estimate it by the last column of a regression about `about`, s; apart: s, how parts disagree."""
+    def __init__(self, sums: Regression, apart: float, delay: float, growth: float) -> None:
+        """Estimate both by the last two columns of a regression about `delay` and `growth`, s.
+
+        The one delay that fits best is no middle of the course: it is that of the windows that tell most.
+        apart: s, how parts disagree about the growth.
+        """
         fitted, covariance, _ = sums.jackknifed(STRETCHES, in_a_row=True)
         error = float(np.sqrt(covariance[-1, -1] + apart**2 + ALIKE**2))
-        self.growth = Measured(about + float(fitted[-1]), error)
+        self.middle = delay + float(fitted[-2])
+        self.growth = Measured(growth + float(fitted[-1]), error)
         free = min(STRETCHES, len(sums.power)) - 1
         self.log_chance = log_tail((self.growth.value / error) ** 2, 1, free)
 
@@ -41,9 +47,9 @@ class DelayTrend:
         """Whether one delay at all times does not fit."""
         return self.log_chance < float(np.log(UNLIKELY))
 
-    def finding(self, where: Where, middle: float, least: float = 0.0) -> Finding | None:
-        """State a delay that grows. middle: s, the one that fits best; least: nats for what shows anyway."""
-        first, last = (1e3 * (middle + sign * self.growth.value) for sign in (-0.5, 0.5))
+    def finding(self, where: Where, least: float = 0.0) -> Finding | None:
+        """State a delay that grows; least: nats for what shows anyway."""
+        first, last = (1e3 * (self.middle + sign * self.growth.value) for sign in (-0.5, 0.5))
         say = (
             f"The gyroscope's delay behind the accelerometer changes from {first:.1f} to {last:.1f} ms in the"
             " course of the recording."

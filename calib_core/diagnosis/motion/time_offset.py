@@ -92,7 +92,7 @@ def shown_in_motion(
     several = axes.differ or grows
     by_time = trend.log_chance < axes.log_chance and (grows or not axes.differ)
     if several or (late is None and filters is None):
-        late = trend.finding(where, fit.delay, surely) if by_time else _apart(axes, where, surely)
+        late = trend.finding(where, surely) if by_time else _apart(axes, where, surely)
     arm, cause = lever_arm(fit.last.sums.only(ARM), fit.arm_apart, where), None
     length = 0.0 if arm is None else float(np.linalg.norm(arm.parameters["position"].value))
     if length < gravity * interval**2 / TRAPEZOID or (filters and filters.explains_arm(length, gravity)):

@@ -19,7 +19,7 @@ def trend(seed: int, walk: int, growth: float = 0.0) -> DelayTrend:
     moved = rng.normal(0.0, 1.0, (120, 40, 3))
     designs = [np.stack([m, m * a], axis=2) for m, a in zip(moved, age, strict=True)]
     seen = [m * (growth * a + x) for m, a, x in zip(moved, age, off, strict=True)]
-    return DelayTrend(Regression.of(designs, seen), 0.0, 0.0)
+    return DelayTrend(Regression.of(designs, seen), 0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize("walk", [1, 6])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -225,9 +226,9 @@ def test_a_road_that_pushes_and_turns_a_phone_at_once_makes_no_axis_late_by_seco
     assert exam.why_no_delay.startswith("its axes do not agree about it, by how the hand moves it")
 
 
-def growing(growth: float, tremor: float) -> tuple[Shown, float]:
+def growing(growth: float, tremor: float, moods: float = 0.0) -> tuple[Shown, float]:
     """Look at a delay that grows by `growth` s, and return how long the recording is, s."""
-    accelerometer, gyroscope = played(11, tremor=tremor)
+    accelerometer, gyroscope = played(11, tremor=tremor, moods=moods)
     t = gyroscope.t
     rate = np.stack([np.interp(t - growth * t / t[-1], t, axis) for axis in gyroscope.xyz.T], axis=1)
     late = Samples.checked(Sensor.GYROSCOPE, t, rate)
@@ -252,6 +253,14 @@ def test_a_delay_that_grows_is_no_one_delay(growth: float, tremor: float) -> Non
         found.where.t_end - found.where.t_start - 8.0
     )  # s from the middle of the first window to the last's
     assert low < growth * between / end < high and low > 0.0
+
+
+def test_of_a_delay_that_grows_both_ends_are_told_where_few_windows_tell_most() -> None:
+    shown, end = growing(0.06, 0.0, moods=1.5)
+    (found,) = shown.findings
+    told = [1e-3 * float(x) for x in re.findall(r"-?\d+\.\d", found.statement)]
+    at = np.array([found.where.t_start + 4.0, found.where.t_end - 4.0])
+    assert told == pytest.approx(0.06 * at / end, abs=2e-3)
 
 
 def repeated(seed: int) -> tuple[Samples, Samples]:
