@@ -46,6 +46,7 @@ from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_
 from stillcal.calib_core.diagnosis.slow.wander import sizes_along_gravity
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
+from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.streams.time_series import TimeSeries
@@ -225,7 +226,8 @@ def _with_motion(
     turns = None if exam.exchanged else turns
     if affine is not None and turns is not None and in_turns:
         of_turns = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
-        stated += beyond(unsure_tilt(stated, gravity), of_turns)
+        lasts = rms([t.duration for t in turns.turns])
+        stated += beyond(unsure_tilt(stated, gravity, lasts), of_turns)
     return replace(
         exam,
         aligned=affine,

@@ -1,8 +1,9 @@
-"""What turns show of the gyroscope, where what is not known of the accelerometer may be the cause.
+"""What turns show of the gyroscope, where what is not known of either sensor's bias may be the cause.
 
 A turn is compared with gravity before and after it. What the accelerometer does without a name is in the
-direction of gravity. It cannot be taken off, as effects with a name are: its course is known too roughly. Of
-effects with a name what is unsure in their sizes is left there.
+direction of gravity; what the gyroscope's bias does, in the angle that it adds up to over the turn. Neither
+can be taken off, as effects with a name are: their course is known too roughly. Of effects with a name what
+is unsure in their sizes is left there.
 """
 
 from __future__ import annotations
@@ -19,19 +20,25 @@ from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 OF_TWO = float(np.sqrt(2.0))
 """What two errors that are alike and independent are together: gravity's at both ends of a turn; of what has
-no name the one that the rests show, along gravity for the most part, and the one that they do not."""
+no name the one that the rests show, of the force along gravity for the most part, and the one that they do
+not: across it, or while the phone turns."""
 
 
-def unsure_tilt(stated: Sequence[Stated], gravity: float) -> float:
-    """Return by how much slow errors of the accelerometer may make turns miss gravity, rad."""
-    lengths = [
-        _length(s) for s in stated if s.finding.sensor == "accel" and s.finding.where.band_hz == SLOW_BAND
-    ]
-    return OF_TWO * float(np.linalg.norm(lengths)) / gravity if lengths else 0.0
+def unsure_tilt(stated: Sequence[Stated], gravity: float, lasts: float) -> float:
+    """Return by how much slow errors of both sensors may make turns miss gravity, rad.
+
+    lasts: s, how long the turns last, rms.
+    """
+    slow = [s for s in stated if s.finding.where.band_hz == SLOW_BAND]
+    force, rate = (
+        float(np.sqrt(sum(_length(s) ** 2 for s in slow if s.finding.sensor == sensor)))
+        for sensor in ("accel", "gyro")
+    )
+    return float(np.hypot(OF_TWO * force / gravity, rate * lasts))
 
 
 def _length(stated: Stated) -> float:
-    """Return how large an error is that is not taken off, m/s^2: a nameless one, or what is unsure of one.
+    """Return how large an error is that is not taken off, SI: a nameless one, or what is unsure of one.
 
     It is rms over the bins where it has no amplitude, and 0 where no rests tell it.
     """

@@ -1,4 +1,4 @@
-"""A turn's error that the accelerometer's nameless error may make is not the gyroscope's."""
+"""A turn's error that a nameless error of either sensor's bias may make says nothing of the rate."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from stillcal.replay.diagnosis.judged import examined
 from tests.support.report_days import phone_with, recorded
 
 TURNS = 20
+LASTS = 3.0
 SCALE = next(e for e in effects_of("gyro", in_turns=True) if e.name == "gyro_scale_temperature")
 
 
@@ -40,18 +41,25 @@ def nameless(sensor: str, size: float, band: tuple[float, float] = SLOW_BAND) ->
 
 @pytest.mark.parametrize("moved, kept", [(9e-3, False), (11e-3, True)])
 def test_what_turns_show_is_kept_where_it_is_larger_than_the_tilt(moved: float, kept: bool) -> None:
-    tilt = unsure_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD)
+    tilt = unsure_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD, LASTS)
     assert tilt == pytest.approx(2.0 * 5e-3)
     assert bool(beyond(tilt, [of_turns(moved)])) is kept
 
 
-def test_only_slow_nameless_errors_of_the_accelerometer_tilt() -> None:
+@pytest.mark.parametrize("moved, kept", [(9e-3, False), (11e-3, True)])
+def test_a_nameless_bias_of_the_gyroscope_adds_up_over_a_turn(moved: float, kept: bool) -> None:
+    tilt = unsure_tilt([nameless("gyro", 0.01 / LASTS / np.sqrt(2.0))], STANDARD, LASTS)
+    assert tilt == pytest.approx(0.01)
+    assert bool(beyond(tilt, [of_turns(moved)])) is kept
+
+
+def test_only_slow_nameless_errors_tilt() -> None:
     others = [
-        nameless("gyro", 1.0),
+        nameless("gyro", 1.0, (5.0, 6.0)),
         nameless("accel", 1.0, (5.0, 6.0)),
         Stated(finding("accel_bias_step", "accel", {"step": Parameter([1.0] * 3, None, "m/s^2")}, SLOW_BAND)),
     ]
-    assert unsure_tilt(others, STANDARD) == 0.0
+    assert unsure_tilt(others, STANDARD, LASTS) == 0.0
     assert beyond(0.0, [of_turns(1e-6)])
 
 
@@ -66,7 +74,7 @@ def test_what_is_unsure_of_a_named_error_tilts_and_its_size_does_not() -> None:
     told = Stated(finding(square.name, "accel", sizes, SLOW_BAND), own, residuals)
     z = residuals.moments.force[:, 2]
     expected = np.sqrt(2.0) * 0.2e-3 / 1.96 * np.sqrt((z**4).mean()) / STANDARD
-    assert unsure_tilt([told], STANDARD) == pytest.approx(expected, rel=0.05)
+    assert unsure_tilt([told], STANDARD, LASTS) == pytest.approx(expected, rel=0.05)
 
 
 def test_of_a_named_error_with_an_amplitude_only_what_is_unsure_tilts() -> None:
@@ -76,7 +84,7 @@ def test_of_a_named_error_with_an_amplitude_only_what_is_unsure_tilts() -> None:
     own = residuals.hypotheses(settling)[0]
     amplitude = Parameter([0.5, 0.0, 0.0], [[0.5 - 1.96e-3, 0.5 + 1.96e-3], [0.0, 0.0], [0.0, 0.0]], "m/s^2")
     told = Stated(finding(settling.name, "accel", {"amplitude": amplitude}, SLOW_BAND), own, residuals)
-    assert 0.0 < unsure_tilt([told], STANDARD) < np.sqrt(2.0) * 1e-3 / STANDARD
+    assert 0.0 < unsure_tilt([told], STANDARD, LASTS) < np.sqrt(2.0) * 1e-3 / STANDARD
 
 
 def test_a_nameless_gain_tilts_by_what_it_adds_at_rest() -> None:
@@ -90,7 +98,7 @@ def test_a_nameless_gain_tilts_by_what_it_adds_at_rest() -> None:
     moments = residuals.moments
     added = 0.5e-3 * moments.temperature[:, None] * moments.force[:, [0, 2]]
     expected = 2.0 * np.sqrt((added**2).sum(axis=1).mean()) / STANDARD
-    assert expected > 1e-4 and unsure_tilt([told], STANDARD) == pytest.approx(expected)
+    assert expected > 1e-4 and unsure_tilt([told], STANDARD, LASTS) == pytest.approx(expected)
 
 
 @pytest.mark.slow
@@ -106,5 +114,22 @@ def test_a_recording_whose_accelerometer_bends_with_temperature_states_no_smalle
     monkeypatch.setattr(diagnose, "about_effects", lambda *_: [smaller, larger])
     exam = examined(replace(recording, accelerometer=replace(accel, xyz=frozen(accel.xyz + bent))))
     assert ("unknown", "accel") in {(s.finding.effect, s.finding.sensor) for s in exam.statements}
+    (stated,) = [s for s in exam.statements if s.finding.effect == SCALE.name]
+    assert stated.hypothesis is larger.hypothesis
+
+
+@pytest.mark.slow
+def test_a_gyroscope_whose_bias_comes_and_goes_states_no_smaller_turns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """2 mrad/s for 12 s of every 70: what it adds up to over a turn seemed a gain that follows the rate."""
+    recording = recorded(phone_with(), 3)
+    gyro = recording.gyroscope
+    assert gyro is not None
+    lit = np.outer(gyro.t % 70.0 < 12.0, [1e-3, 0.0, 2e-3])
+    smaller, larger = of_turns(1e-3), of_turns(0.5)
+    monkeypatch.setattr(diagnose, "about_effects", lambda *_: [smaller, larger])
+    exam = examined(replace(recording, gyroscope=replace(gyro, xyz=frozen(gyro.xyz + lit))))
+    assert ("unknown", "gyro") in {(s.finding.effect, s.finding.sensor) for s in exam.statements}
     (stated,) = [s for s in exam.statements if s.finding.effect == SCALE.name]
     assert stated.hypothesis is larger.hypothesis
