@@ -41,7 +41,8 @@ def nameless(sensor: str, size: float, band: tuple[float, float] = SLOW_BAND) ->
 
 @pytest.mark.parametrize("moved, kept", [(9e-3, False), (11e-3, True)])
 def test_what_turns_show_is_kept_where_it_is_larger_than_the_tilt(moved: float, kept: bool) -> None:
-    tilt = unsure_tilt([nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)], STANDARD, LASTS)
+    leaning = [nameless("accel", 3e-3 * STANDARD), nameless("accel", 4e-3 * STANDARD)]
+    tilt = unsure_tilt(leaning, STANDARD, LASTS)
     assert tilt == pytest.approx(2.0 * 5e-3)
     assert bool(beyond(tilt, [of_turns(moved)])) is kept
 
