@@ -35,9 +35,16 @@ class LowPass:
     def __init__(self, cutoff_hz: float, rate_hz: float, order: int = 2) -> None:
         from scipy.signal import butter, lfilter_zi  # noqa: PLC0415 - a second of a command that simulates nothing
 
+        self._rate_hz = rate_hz
         self._b, self._a = butter(order, cutoff_hz, fs=rate_hz)
         self._settled = lfilter_zi(self._b, self._a)
         self._state: Array | None = None
+
+    @property
+    def delay_s(self) -> float:
+        """By how much it delays slow motion, s: its group delay at zero frequency."""
+        b, a = (float(np.arange(c.size) @ c / c.sum()) for c in (self._b, self._a))
+        return (b - a) / self._rate_hz
 
     def __call__(self, values: Array) -> Array:
         """Filter the next (n, 3) values."""

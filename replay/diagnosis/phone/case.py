@@ -15,10 +15,11 @@ from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.taken_off import Known, error_of, off_bins
+from stillcal.calib_core.streams.resample import median_rate_hz
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding, map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
-from stillcal.replay.diagnosis.phone.resimulate import added_to, motion_of, resimulate
+from stillcal.replay.diagnosis.phone.resimulate import Motion, added_to, motion_of, resimulate
 from stillcal.replay.diagnosis.phone.twin import (
     AffinePhone,
     Conditions,
@@ -31,6 +32,7 @@ from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
 from stillcal.replay.phone.effects.on_settings import GyroSaturation
 from stillcal.replay.phone.phone import Phone
+from stillcal.replay.phone.sensor_chain import LowPass
 from stillcal.replay.phone.settings import SensorSettings
 
 SEED = 2
@@ -75,8 +77,23 @@ class Case:
         """
         bare = with_errors(self.recording, self.beside, -1.0)
         motion = motion_of(bare, self.bins, self.affine, self.effects, self.conditions, gravity=self.gravity)
+        motion = self._before_low_passes(motion)
         made = resimulate(self.recording, motion, conditions or self.conditions, phone, seed=SEED)
         return replace(made, covariates=self.recording.covariates)
+
+    def _before_low_passes(self, motion: Motion) -> Motion:
+        """Return a motion as it was before the recording's low-passes delayed it: a phone's own do so anew."""
+
+        def late(samples: Samples, sensor: str) -> float:
+            cutoff = self.cutoffs.get(sensor)
+            return 0.0 if cutoff is None else LowPass(cutoff, median_rate_hz(samples)).delay_s
+
+        force_t = motion.force_t - late(self.recording.accelerometer, "accel")
+        if motion.rate_t is None or self.recording.gyroscope is None:
+            return replace(motion, force_t=force_t)
+        return replace(
+            motion, force_t=force_t, rate_t=motion.rate_t - late(self.recording.gyroscope, "gyro")
+        )
 
     @property
     def effects(self) -> list[Effect]:

@@ -188,6 +188,19 @@ def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
     assert case_of(made, plain, Comparison()).cutoffs == {}
 
 
+@pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
+def test_what_a_low_pass_delayed_is_not_delayed_by_it_again(sensor: str) -> None:
+    made = turned(1, turns=8)
+    made = replace(made, **{sensor: low_passed(getattr(made, sensor), 0.1)})
+    exam = examined(made, sought=())
+    case = case_of(made, exam, compare_with_ideal(exam))
+    read, again = (getattr(one, sensor) for one in (made, case.played(case.phone())))
+    slope = np.gradient(read.xyz, read.t, axis=0)
+    played = np.stack([np.interp(read.t, again.t, axis) for axis in again.xyz.T], axis=1)
+    late = -float((slope * (played - read.xyz)).sum() / (slope**2).sum())
+    assert abs(late) < 0.01, "of 0.08 s that the filter delays"
+
+
 @pytest.mark.slow
 def test_the_gyroscopes_scale_in_the_phone_file_is_that_beside_its_nonlinearity() -> None:
     """The turns tell both: fitted without the nonlinearity, the scale held a part of it, 0.5 % here."""
