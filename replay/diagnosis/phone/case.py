@@ -82,7 +82,7 @@ class Case:
         return replace(made, covariates=self.recording.covariates)
 
     def _before_low_passes(self, motion: Motion) -> Motion:
-        """Return a motion as it was before the recording's low-passes delayed it: a phone's own do so anew."""
+        """Return a motion before the recording's low-passes delayed it: a phone's own do so anew."""
 
         def late(samples: Samples, sensor: str) -> float:
             cutoff = self.cutoffs.get(sensor)
@@ -91,9 +91,7 @@ class Case:
         force_t = motion.force_t - late(self.recording.accelerometer, "accel")
         if motion.rate_t is None or self.recording.gyroscope is None:
             return replace(motion, force_t=force_t)
-        return replace(
-            motion, force_t=force_t, rate_t=motion.rate_t - late(self.recording.gyroscope, "gyro")
-        )
+        return replace(motion, force_t=force_t, rate_t=motion.rate_t - late(self.recording.gyroscope, "gyro"))
 
     @property
     def effects(self) -> list[Effect]:
