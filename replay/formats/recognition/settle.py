@@ -31,7 +31,12 @@ from stillcal.replay.formats.recognition.names.stamps import Stamps, find_stamps
 from stillcal.replay.formats.recognition.names.vocabulary import SENSOR_WORDS
 from stillcal.replay.formats.recognition.settling.probe import Probe
 from stillcal.replay.formats.recognition.settling.time_column import time_of
-from stillcal.replay.formats.recognition.settling.units import gravity_unit, unit_of_force, unit_of_rates
+from stillcal.replay.formats.recognition.settling.units import (
+    Unit,
+    is_gravity,
+    unit_of_force,
+    unit_of_rates,
+)
 from stillcal.replay.formats.recognition.unnamed import places_of
 from stillcal.replay.formats.tables.table import Table
 
@@ -167,7 +172,7 @@ def _counted(table: Table) -> list[_Candidate]:
         return [_Candidate(first, None, stamps)]
     probe, second = Probe(table), axes[1]
     sizes = [probe.norms(axes) for axes in (first, second)]
-    fits = [gravity_unit(norms) is not None for norms in sizes]
+    fits = [is_gravity(probe, axes) for axes in (first, second)]
     if all(fits):
         low, high = (np.subtract(*np.quantile(norms, (0.75, 0.25))) / np.median(norms) for norms in sizes)
         fits = [low * _STEADIER < high, high * _STEADIER < low]
@@ -192,21 +197,21 @@ def _sensor(
     if gyroscope is not None and candidate.rate_stamps:
         rates, gyroscope = OneSensor(copy(table), base, rate_hz), None
     time, time_said = time_of(table, probe, candidate.stamps, rate_hz)
-    force_unit, force_said = unit_of_force(table.path, probe, accelerometer)
+    force = unit_of_force(table.path, probe, accelerometer)
     chosen: dict[str, Any] = {
         "time": time,
-        "accelerometer": SensorMap(columns=accelerometer.columns, unit=force_unit),
+        "accelerometer": force.of(accelerometer),
         "repeats": "keep",
         "gyroscope": None,
         "temperature": None,
     }
-    said = [time_said, f"accelerometer {accelerometer.listed()} in {force_unit}{force_said}", *candidate.said]
+    said = [time_said, f"accelerometer {accelerometer.listed()} in {force.name}{force.said}", *candidate.said]
     if gyroscope is not None:
         draft = SensorMap(columns=gyroscope.columns, unit="rad/s")
         part = Part(table, msgspec.structs.replace(base, **chosen | {"gyroscope": draft}), BOTH)
-        rate_unit, rate_said = unit_of_rates([part], gyroscope, force_unit)
-        chosen["gyroscope"] = SensorMap(columns=gyroscope.columns, unit=rate_unit)
-        said.append(f"gyroscope {gyroscope.listed()} in {rate_unit}{rate_said}")
+        rate = unit_of_rates([part], gyroscope, force)
+        chosen["gyroscope"] = rate and rate.of(gyroscope)
+        said.append(_said_of(gyroscope, rate))
     elif rates is None and (unread := unread_rates(table.names or [])):
         said.append(f"not read, since they name no axes x, y, z: {', '.join(unread[:6])}")
     thermometer = find_thermometer(table.names or [], accelerometer.label)
@@ -216,17 +221,30 @@ def _sensor(
     column_map = msgspec.structs.replace(base, **chosen)
     how = "counted from 0" if table.names is None else "recognised by their names"
     note = f"{short_name(table.path)}: columns {how}: {'; '.join(said)}"
-    sensors = [Sensor.ACCELEROMETER] + ([] if gyroscope is None else [Sensor.GYROSCOPE])
+    sensors = [Sensor.ACCELEROMETER] + ([] if chosen["gyroscope"] is None else [Sensor.GYROSCOPE])
     parts, notes = [Part(table, column_map, sensors)], [note]
     if gyroscope is None and rates is not None:
-        own, told = _rates_apart(rates, parts[0], force_unit, candidate)
-        parts, notes = [*parts, own], [*notes, told]
+        own, told = _rates_apart(rates, parts[0], force, candidate)
+        parts, notes = [*parts, *own], [*notes, told]
     about = "accelerometer" + ("" if gyroscope is None and rates is None else ", gyroscope")
     return LoggedSensor.of(accelerometer.label or "imu", parts, about, notes)
 
 
-def _rates_apart(rates: OneSensor, force: Part, force_unit: str, candidate: _Candidate) -> tuple[Part, str]:
-    """Return the gyroscope that a table of its own holds, and how to say it. Raises TraceError."""
+def _said_of(gyroscope: Axes, rate: Unit | None) -> str:
+    """Say in which unit a gyroscope's columns are read; None: in none."""
+    if rate is None:
+        why = "raw counts, and turns do not show the value of one (say it in a column map)"
+        return f"gyroscope {gyroscope.listed()} not read: {why}"
+    return f"gyroscope {gyroscope.listed()} in {rate.name}{rate.said}"
+
+
+def _rates_apart(
+    rates: OneSensor, force: Part, force_unit: Unit, candidate: _Candidate
+) -> tuple[list[Part], str]:
+    """Return the gyroscope that a table of its own holds, and how to say it. Raises TraceError.
+
+    There is none where its unit is not known.
+    """
     table = rates.table
     axes = candidate.gyroscope or _gyroscope_of(candidate.accelerometer, table)
     stamps = candidate.rate_stamps or find_stamps(table.names or ())
@@ -240,10 +258,12 @@ def _rates_apart(rates: OneSensor, force: Part, force_unit: str, candidate: _Can
     }
     column_map = msgspec.structs.replace(rates.column_map, **chosen)
     part = Part(table, column_map, [Sensor.GYROSCOPE])
-    unit, unit_said = unit_of_rates([force, part], axes, force_unit)
-    column_map = msgspec.structs.replace(column_map, gyroscope=SensorMap(columns=axes.columns, unit=unit))
-    said = f"{short_name(table.path)}: {time_said}; gyroscope {axes.listed()} in {unit}{unit_said}"
-    return Part(table, column_map, [Sensor.GYROSCOPE]), said
+    unit = unit_of_rates([force, part], axes, force_unit)
+    said = f"{short_name(table.path)}: {time_said}; {_said_of(axes, unit)}"
+    if unit is None:
+        return [], said
+    column_map = msgspec.structs.replace(column_map, gyroscope=unit.of(axes))
+    return [Part(table, column_map, [Sensor.GYROSCOPE])], said
 
 
 def _gyroscope_of(accelerometer: Axes, table: Table) -> Axes:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stillcal.calib_core.gravity import STANDARD
+from stillcal.replay.formats.checks.units import DEGREE
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.trace import Recording, read_all
 
@@ -183,3 +185,57 @@ def test_free_fall_and_shaking_without_rests_are_read(tmp_path: Path) -> None:
     dropped = phone("still", 1000)
     dropped[200:499, 1:4] -= [0.2, 0.2, 10.01]
     assert taken_as_given(tmp_path / "dropped.csv", dropped)
+
+
+def counts_of(scene: str, per_g: float, per_degree: float) -> str:
+    """Return the log of a chip that gives raw counts, as hobbyists' boards print it."""
+    one_si = [1e3, *[per_g / STANDARD] * 3, *[per_degree / DEGREE] * 3]
+    rows = np.rint(phone(scene, scale=1.01) * one_si).astype(int)
+    lines = (",".join(map(str, row)) + "\n" for row in rows.tolist())
+    return "millis,accX,accY,accZ,gyroX,gyroY,gyroZ\n" + "".join(lines)
+
+
+OF_CHIPS = [
+    *((16384, 131.072), (8192, 65.536), (4096, 32.768), (2048, 16.384), (16384, 262.144)),
+    *((16393, 1e3 / 8.75), (4098, 1e3 / 35.0), (256, 14.375)),
+]
+"""Counts in g and in deg/s by data sheets: MPU-6050 and BMI160; LSM6DS3; ADXL345 with an ITG-3200."""
+
+
+@pytest.mark.parametrize(("per_g", "per_degree"), OF_CHIPS)
+@pytest.mark.parametrize("named", [True, False])
+def test_raw_counts_are_told_by_gravity_and_how_it_turns(
+    tmp_path: Path, per_g: float, per_degree: float, named: bool
+) -> None:
+    path = tmp_path / "mpu.csv"
+    text = counts_of("turning", per_g, per_degree)
+    path.write_text(text if named else text.split("\n", 1)[1])
+    recording, true = read_all(path), phone("turning", scale=1.01)
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.accelerometer.xyz, true[:, 1:4], rtol=2e-3, atol=0.03)
+    np.testing.assert_allclose(recording.gyroscope.xyz, true[:, 4:], rtol=0.01, atol=2e-3)
+    assert "in g (by the size of gravity)" in recording.notes[0]
+    assert "in deg/s (as gravity's direction turns)" in recording.notes[0]
+
+
+def test_raw_rates_that_nothing_turns_by_are_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "mpu.csv"
+    path.write_text(counts_of("still", 16384, 131.072))
+    recording = read_all(path)
+    assert recording.gyroscope is None and len(recording.accelerometer) == 3000
+    assert (
+        "gyroX gyroY gyroZ not read: raw counts, and turns do not show the value of one" in recording.notes[0]
+    )
+
+
+@pytest.mark.parametrize(("per_g", "per_degree", "told"), [(12000, 131.072, False), (16384, 90.0, True)])
+def test_counts_of_no_known_chip_are_not_guessed(
+    tmp_path: Path, per_g: float, per_degree: float, told: bool
+) -> None:
+    path = tmp_path / "mpu.csv"
+    path.write_text(counts_of("turning", per_g, per_degree))
+    if told:
+        assert read_all(path).gyroscope is None
+        return
+    with pytest.raises(TraceError, match="gravity in no unit"):
+        read_all(path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +14,14 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.axes import turnings
-from stillcal.replay.formats.checks.units import shown_unit
+from stillcal.replay.formats.checks.units import DEGREE, shown_unit
 from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.columns import SensorMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Part
 from stillcal.replay.formats.recognition.names.axes import Axes
 from stillcal.replay.formats.recognition.names.units import KNOWN_UNITS
+from stillcal.replay.formats.recognition.settling.counts import counts_per_degree, counts_per_g
 from stillcal.replay.formats.recognition.settling.probe import PROBED_ROWS, Probe
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.table import Table
@@ -33,19 +36,34 @@ _FASTEST_RAD_S = 70.0
 """rad/s: 4000 deg/s, the widest range of consumer gyroscopes (Bosch BMI270 and its like measure 2000)."""
 
 
-def unit_of_force(path: Path, probe: Probe, axes: Axes) -> tuple[Any, str]:
-    """Return the unit of acceleration and where it comes from. Raises TraceError without gravity."""
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """The unit of a sensor's columns. said: where it comes from; counts_per_unit: in one SI unit."""
+
+    name: Any
+    said: str = ""
+    counts_per_unit: float | None = None
+
+    def of(self, axes: Axes) -> SensorMap:
+        """Return how the columns of a sensor are read."""
+        return SensorMap(columns=axes.columns, unit=self.name, counts_per_unit=self.counts_per_unit)
+
+
+def unit_of_force(path: Path, probe: Probe, axes: Axes) -> Unit:
+    """Return the unit of acceleration. Raises TraceError without gravity."""
     if axes.unit is not None:
-        return _known(path, axes), ""
+        return Unit(_known(path, axes))
     norms = probe.norms(axes)
-    unit = gravity_unit(norms)
+    unit, per_g = _gravity_unit(norms), _counts_per_g(probe, axes)
+    if unit is None and per_g is not None:
+        return Unit("counts", f", {per_g:g} in g (by the size of gravity)", per_g / STANDARD)
     if unit is not None and not probe.keeps_its_direction(axes):
         what = f"{axes.listed()} swing about zero: gravity was taken out"
         raise TraceError(path, what, "give the accelerometer with gravity")
     if unit is not None:
         whole = unit == "mg" and probe.whole_numbers(axes)
         counts = "; whole numbers: if they are raw counts, say the value of one in a column map"
-        return unit, f" (by the size of gravity{counts if whole else ''})"
+        return Unit(unit, f" (by the size of gravity{counts if whole else ''})")
     typical = float(np.median(norms)) if norms.size else 0.0
     what = f"{axes.listed()} are about {typical:.4g} in size, which is gravity in no unit"
     remedy = "give the accelerometer with gravity; of raw counts say the value of one in a column map"
@@ -75,21 +93,40 @@ def measures_gravity(table: Table, axes: Axes) -> bool:
     return bool(like and low > typical / 2 and high < 2 * typical)
 
 
-def gravity_unit(norms: Array) -> str | None:
+def is_gravity(probe: Probe, axes: Axes) -> bool:
+    """Whether columns have the size of gravity in a unit, or in a known chip's counts."""
+    return _gravity_unit(probe.norms(axes)) is not None or _counts_per_g(probe, axes) is not None
+
+
+def _counts_per_g(probe: Probe, axes: Axes) -> float | None:
+    return counts_per_g(probe.norms(axes)) if probe.whole_numbers(axes) else None
+
+
+def _gravity_unit(norms: Array) -> str | None:
     """Return the unit in which sizes (n,) are gravity's, None where they are in none."""
     typical = float(np.median(norms)) if norms.size else 0.0
     return next((unit for unit, (low, high) in _GRAVITY_IN.items() if low < typical < high), None)
 
 
-def unit_of_rates(parts: Sequence[Part], axes: Axes, force_unit: str) -> tuple[Any, str]:
-    """Return the unit of rates, and where it comes from. parts: both sensors, the rates read as rad/s."""
+def unit_of_rates(parts: Sequence[Part], axes: Axes, force: Unit) -> Unit | None:
+    """Return the unit of rates; None of raw counts whose value turns do not show.
+
+    parts: both sensors, the rates read as rad/s; force: the unit of the accelerometer.
+    """
     if axes.unit is not None:
-        return _known(parts[-1].table.path, axes), ""
+        return Unit(_known(parts[-1].table.path, axes))
+    if force.name == "counts":
+        per_degree = counts_per_degree(turnings(*_first_samples(parts)))
+        if per_degree is None:
+            return None
+        return Unit(
+            "counts", f", {per_degree:.4g} in deg/s (as gravity's direction turns)", per_degree / DEGREE
+        )
     unit, said = rate_unit_shown(parts)
     if unit is not None:
-        return unit, f" ({said})"
-    unit = "rad/s" if force_unit == "m/s^2" else "deg/s"
-    return unit, f" (assumed, as usual beside {force_unit}; a column map can say otherwise)"
+        return Unit(unit, f" ({said})")
+    unit = "rad/s" if force.name == "m/s^2" else "deg/s"
+    return Unit(unit, f" (assumed, as usual beside {force.name}; a column map can say otherwise)")
 
 
 def rate_unit_shown(parts: Sequence[Part], fewest: int = 1) -> tuple[Any, str]:
@@ -97,13 +134,7 @@ def rate_unit_shown(parts: Sequence[Part], fewest: int = 1) -> tuple[Any, str]:
 
     parts: both sensors, the rates read as rad/s. fewest: spans of some seconds that must show it.
     """
-    first: dict[Sensor, Samples] = {}
-    for part in parts:
-        for sensor, samples in _first_run(SampleFile(part.table, part.column_map, part.sensors, Claims())):
-            first[sensor] = samples
-    accelerometer, gyroscope = (
-        first.get(s, Samples.empty(s)) for s in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
-    )
+    accelerometer, gyroscope = _first_samples(parts)
     fastest = float(np.abs(gyroscope.xyz).max()) if len(gyroscope) else 0.0
     if fastest > np.degrees(_FASTEST_RAD_S):
         return "mdeg/s", "too fast for deg/s"
@@ -112,6 +143,18 @@ def rate_unit_shown(parts: Sequence[Part], fewest: int = 1) -> tuple[Any, str]:
         unit = "deg/s" if votes["deg/s"] > votes["as stated"] else "rad/s"
         return unit, "as gravity's direction turns"
     return ("deg/s", "too fast for rad/s") if fastest > _FASTEST_RAD_S else (None, "")
+
+
+def _first_samples(parts: Sequence[Part]) -> tuple[Samples, Samples]:
+    """Return the first samples of the accelerometer and of the gyroscope; none where one is not there."""
+    first: dict[Sensor, Samples] = {}
+    for part in parts:
+        for sensor, samples in _first_run(SampleFile(part.table, part.column_map, part.sensors, Claims())):
+            first[sensor] = samples
+    accelerometer, gyroscope = (
+        first.get(s, Samples.empty(s)) for s in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE)
+    )
+    return accelerometer, gyroscope
 
 
 def _first_run(file: SampleFile) -> list[tuple[Sensor, Samples]]:
