@@ -309,7 +309,11 @@ def of_motion(exam: Examination) -> Iterator[Check]:
             within = " within the sensors' limits" if limited else ""
             spans = f"{_counted(have, 'span')} of {WINDOW:.0f} s that the samples follow{within}"
             why = f"the phone turns in {spans}, {LEAST_WINDOWS} are needed"
-    yield from (Check(name, sensor, None if name in stated else why) for name, sensor in MOTION)
+    # Where the turns do not agree about a delay, none is known, though it was looked for.
+    untold = {DELAY: exam.why_no_delay or None}
+    yield from (
+        Check(name, sensor, None if name in stated else why or untold.get(name)) for name, sensor in MOTION
+    )
 
 
 def _counted(count: int, one: str) -> str:

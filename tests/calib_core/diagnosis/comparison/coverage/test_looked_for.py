@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle, of_motion
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.covariate import kind_of_column
 from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature, follows_time
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.calib_core.streams.time_series import TimeSeries
+from stillcal.replay.diagnosis.judged import examined
+from tests.support.diagnosis.turned_pairs import turned
 
 
 @pytest.mark.parametrize("column", ["temperature 2", "charging_bias", "warmup"])
@@ -42,3 +46,11 @@ def test_what_an_effect_follows_is_read_of_what_is_no_columns_name(
     driver: str, time: bool, temperature: bool
 ) -> None:
     assert (follows_time(driver), follows_temperature(driver)) == (time, temperature)
+
+
+def test_a_delay_that_turns_do_not_agree_about_is_not_compared() -> None:
+    """It was counted as a check that was made, and a recording that no delay fits was said to match."""
+    exam = examined(turned(1), sought=())
+    assert exam.delay is not None and [c.reason for c in of_motion(exam)] == [None, None]
+    untold = replace(exam, delay=None, why_no_delay="its axes do not agree about it")
+    assert [c.reason for c in of_motion(untold)] == ["its axes do not agree about it", None]
