@@ -50,6 +50,15 @@ def test_rates_of_other_names_are_the_gyroscope(
     assert_read(read(tmp_path, f"t,{force},{rates}", DATA[:, 0], FORCE, RATE * per_rad))
 
 
+@pytest.mark.parametrize("form", ["imu[{}].acc_{}", "acc[{}].{}", "data.accel[{}].value{}"])
+def test_sensors_that_are_numbered_in_brackets_are_several(tmp_path: Path, form: str) -> None:
+    axes = "012" if form.endswith("value{}") else "xyz"
+    header = ",".join(["t", *(form.format(number, axis) for number in (0, 1) for axis in axes)])
+    recording = read(tmp_path, header, DATA[:, 0], FORCE, 1.01 * FORCE)
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-9)
+    assert "has 2 sensors" in recording.notes[0]
+
+
 @pytest.mark.parametrize("angles", ["roll,pitch,yaw", "p,q,s", "roll_rate_sp,pitch_rate_sp,yaw_rate_sp"])
 def test_angles_and_wanted_rates_are_no_gyroscope(tmp_path: Path, angles: str) -> None:
     assert read(tmp_path, f"t,ax,ay,az,{angles}", DATA[:, 0], FORCE, RATE).gyroscope is None

@@ -124,20 +124,22 @@ def axis_of(name: str) -> _Word | None:
 
 
 def split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
-    """Return the axis and the words without it."""
+    """Return the axis and the words without it, of which one is the number of a sensor (`imu[1].x`)."""
+    number = [bracket] if bracket.isdigit() else []
     for i in reversed(range(len(words))):
         if words[i] in ("x", "y", "z"):
-            return _AXES[words[i]], words[:i] + words[i + 1 :]
+            return _AXES[words[i]], [*words[:i], *words[i + 1 :], *number]
         numbered = _NUMBERED.match("".join(words[max(i - 1, 0) : i + 1])) or _NUMBERED.match(words[i])
         if numbered:
-            return _AXES[numbered[1]], words[: i if words[i][0].isalpha() else i - 1] + words[i + 1 :]
+            before = words[: i if words[i][0].isalpha() else i - 1]
+            return _AXES[numbered[1]], [*before, *words[i + 1 :], *number]
         turns = _TURN_IN_ONE.match(words[i])
         if turns or (words[i] in ATTITUDE and TURNS & set(words)):
             about = turns[1] if turns else words[i]
-            return ATTITUDE[about], [*words[:i], "bodyrate", *words[i + 1 :]]
+            return ATTITUDE[about], [*words[:i], "bodyrate", *words[i + 1 :], *number]
         if words[i] in BODY_RATES and len(words[i + 1 :]) <= 2:
-            return BODY_RATES[words[i]], [*words[:i], "bodyrate", *words[i + 1 :]]
+            return BODY_RATES[words[i]], [*words[:i], "bodyrate", *words[i + 1 :], *number]
         ends = _AXIS_AT_END.match(words[i])
         if ends and ends[1] in (ACCELERATION | RATE):
-            return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :]]
+            return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :], *number]
     return (_AXES[bracket], words) if bracket in _AXES else (None, words)
