@@ -33,9 +33,13 @@ def _leaning(bins: Bins, up: Array, rate: Array) -> Array:
     """Return the square (n,) of the tangent by which the force leans in its rest, no turn confirming it.
 
     up: (n, 3) directions of force. Of the rate at which these lean in a rest, the gyroscope's own rate has a
-    share (least squares): so much of it is a tilt of the phone.
+    share (least squares): so much of it is a tilt of the phone. Its bias is what most rests show: what tilts
+    evenly all through one rest has no other rate in it.
     """
     out = np.zeros(len(bins))
+    size = np.maximum(np.bincount(bins.rest), 1)[:, None]
+    means = np.stack([np.bincount(bins.rest, axis) for axis in rate.T], axis=1) / size
+    bias = np.median(means, axis=0)
     for r in np.flatnonzero(np.bincount(bins.rest) >= FEWEST):
         rows = np.flatnonzero(bins.rest == r)
         middle = np.median(up[rows], axis=0)
@@ -43,7 +47,7 @@ def _leaning(bins: Bins, up: Array, rate: Array) -> Array:
         if cosine.min() < STEEPEST:
             continue
         leaning = np.cross(np.gradient(up[rows], bins.t[rows], axis=0), up[rows])
-        seen = rate[rows] - rate[rows].mean(axis=0)
+        seen = rate[rows] - bias
         tilt = float((leaning * seen).sum()) / max(float((leaning**2).sum()), 1e-300)
         out[rows] = (1.0 / cosine**2 - 1.0) * (1.0 - np.clip(tilt, 0.0, 1.0))
     return out

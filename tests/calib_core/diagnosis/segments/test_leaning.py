@@ -33,3 +33,17 @@ def test_a_train_that_brakes_makes_the_force_longer_and_a_tilt_does_not(tilts: b
     length = np.linalg.norm(without_leaning(bins).force, axis=1)
     assert np.ptp(np.linalg.norm(force, axis=1)) > 0.01 or tilts
     assert length == pytest.approx(nulls.G, abs=1.5e-3)
+
+
+def test_a_phone_that_tilts_evenly_all_through_a_rest_leans_by_no_acceleration() -> None:
+    """Its rate is the same in all of the rest, as a bias is; most rests have only the bias."""
+    t, rng = np.arange(1800.0), np.random.default_rng(1)
+    rest = (t // 300.0).astype(np.int64)
+    angle = np.where(rest == 2, 5e-4 * (t - 600.0), np.where(rest == 4, -4e-4 * (t - 1200.0), 0.0))
+    up = np.stack([np.sin(angle), np.zeros_like(t), np.cos(angle)], axis=1)
+    turn = np.stack([0.0 * t, np.where(rest == 2, -5e-4, np.where(rest == 4, 4e-4, 0.0)), 0.0 * t], axis=1)
+    day = nulls.Day(t, rest, up, 25.0 + 0.0 * t, 0.0 * t)
+    bins = nulls.bins_of(rng, day, "white", gyro_error=turn + np.array([0.01, -0.02, 0.03]))
+    force = nulls.G * bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
+    length = np.linalg.norm(without_leaning(replace(bins, force=force)).force, axis=1)
+    assert length == pytest.approx(nulls.G, abs=1e-3)
