@@ -11,8 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.gravity import STANDARD
+from stillcal.replay.formats.checks.axes import Turning
 from stillcal.replay.formats.checks.units import DEGREE
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.recognition.settling.counts import counts_per_degree
 from stillcal.replay.formats.trace import Recording, read_all
 
 HEADER = "t,ax,ay,az,gx,gy,gz"
@@ -239,3 +241,19 @@ def test_counts_of_no_known_chip_are_not_guessed(
         return
     with pytest.raises(TraceError, match="gravity in no unit"):
         read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("turned", "left", "factor", "told"),
+    [(1.0, 0.05, 1.0, True), (1.0, 0.2, 1.0, False), (0.2, 0.05, 1.0, False), (1.0, 0.05, -1.0, False)],
+)
+def test_counts_are_told_by_rates_that_explain_enough_turning(
+    turned: float, left: float, factor: float, told: bool
+) -> None:
+    """turned: rad of gravity; left: part that rates leave of it, squared; factor: -1 for rates reversed."""
+    per_count = factor * DEGREE / 65.536
+    explained = turned**2 * (1.0 - left)
+    squares = np.array(
+        [[turned**2, -explained / per_count], [-explained / per_count, explained / per_count**2]]
+    )
+    assert counts_per_degree([Turning(8, 1.0, 1.0, squares)]) == (65.536 if told else None)

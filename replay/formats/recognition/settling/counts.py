@@ -49,7 +49,7 @@ def counts_per_degree(spans: Iterable[Turning]) -> float | None:
     # The factor k from counts to rad/s that leaves least of [1, k] squares [1, k].
     k = -squares[0, 1] / squares[1, 1]
     left = squares[0, 0] - squares[0, 1] ** 2 / squares[1, 1]
-    if k <= 0.0 or left > EXPLAINED * squares[0, 0]:
+    if left > EXPLAINED * squares[0, 0]:
         return None
     return _nearest(DEGREE / k, PER_DEGREE, NEAR_RATE)
 
