@@ -18,7 +18,12 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.segments.value_grid import COMB_SAMPLES, ROUNDED, UNIT, comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import (
+    COMB_SAMPLES,
+    ROUNDED,
+    UNIT,
+    step_at_rest,
+)
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.samples import Samples
 
@@ -104,7 +109,7 @@ class Steps:
 
 def steps(samples: Samples, sd: Array) -> Steps:
     """Measure the steps of one sensor; sd: (3,) of its samples at rest."""
-    return Steps(np.array([comb_step(samples.xyz[:, a]) or 0.0 for a in range(3)]), sd)
+    return Steps(np.array([step_at_rest(samples.xyz[:, a]) or 0.0 for a in range(3)]), sd)
 
 
 def quantisation(
@@ -166,14 +171,14 @@ def grid_evidence(values: Array) -> tuple[float, HeldOut]:
     fold, gain, before, after = blocks(thin.size), 0.0, [], []
     for k in np.unique(fold):
         train, test = thin[fold != k], thin[fold == k]
-        step = comb_step(train)
+        step = step_at_rest(train)
         if step is None:
             continue
         off, width = _off_grid(train, test, step)
         gain += _log_ratio(off, width)
         before.append(step / np.sqrt(12.0))
         after.append(step * rms(off))
-    step = comb_step(thin)
+    step = step_at_rest(thin)
     whole = -np.inf if step is None else _log_ratio(*_off_grid(thin, thin, step))
     # Three numbers were fitted: step, phase and width.
     return of_fit(float(whole), 3.0, float(thin.size)), HeldOut(

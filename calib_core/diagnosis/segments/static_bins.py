@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.segments.rests.rest_edges import (
 )
 from stillcal.calib_core.diagnosis.segments.rests.stillness import still_seconds
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error
+from stillcal.calib_core.diagnosis.segments.value_grid import rounding_error, step_at_rest
 from stillcal.calib_core.diagnosis.segments.windows import (
     WINDOW,
     Windows,
@@ -115,7 +115,7 @@ def _rounding(samples: Samples, parts: Windows, first: Array, last: Array) -> Ar
     """Return the sd (3,) of the error that steps leave in the mean of bins, [first, last) windows each."""
     if not first.size:
         return np.zeros(3)
-    step = np.array([comb_step(column) or 0.0 for column in samples.xyz.T])
+    step = np.array([step_at_rest(column) or 0.0 for column in samples.xyz.T])
     count = parts.count[:, None]
     square = np.maximum(count - 1.0, 0.0) * parts.variance + count * parts.mean**2
     per_bin = _bin_means(np.hstack([count, count * parts.mean, square]), first, last)

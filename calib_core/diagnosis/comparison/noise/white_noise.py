@@ -59,10 +59,12 @@ def density(stream: Stream) -> Quantity | None:
     """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown.
 
     What is louder than any sensor's noise is a difference too, if it is as white and as strong in all rests.
+    Of values in steps larger than the noise it is not known: they have up to half as much again, or less,
+    as they lie between two steps.
     """
     if stream.silent:
         return _density(stream, np.full(3, SILENT))
-    if stream.levels is None or not stream.levels.alike:
+    if stream.levels is None or not stream.levels.alike or stream.steps.blurs_level():
         return None
     return _density(stream, np.maximum(stream.levels.values(), SILENT), stream.levels.errors())
 

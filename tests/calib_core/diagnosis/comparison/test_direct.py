@@ -229,3 +229,18 @@ def test_stamps_that_come_in_bursts_are_a_difference() -> None:
     for pair, relation in ((exams, "lacking"), (exams[::-1], "superfluous"), (exams[:1] * 2, None)):
         found = compare(pair[0], pair[1], ("rec", "sim")).discrepancies
         assert [(d.effect, d.relation) for d in found] == ([("arrival_bursts", relation)] if relation else [])
+
+
+def test_coarse_values_in_one_attitude_are_a_difference_and_no_noise() -> None:
+    """Two to four codes of each axis had no step: what motion between them makes was 'unknown'."""
+    rng = np.random.default_rng(5)
+    slow = 0.01 * np.sin(np.arange(30000) / 5000.0)[:, None]
+    fine = np.array([0.31, 0.2, 9.81]) + slow + rng.normal(0.0, 0.012, (30000, 3))
+    coarse, same = (
+        examine(Samples(Sensor.ACCELEROMETER, np.arange(30000) / 50.0, frozen(xyz)), None)
+        for xyz in (0.04 * np.rint(fine / 0.04), fine + rng.normal(0.0, 1e-6, fine.shape))
+    )
+    assert coarse.bins.force_rounding is not None and (coarse.bins.force_rounding > 0.0).all()
+    for pair, relation in (((coarse, same), "lacking"), ((same, coarse), "superfluous")):
+        found = compare(*pair, ("rec", "sim")).discrepancies
+        assert [(d.effect, d.relation) for d in found] == [("accel_quantisation", relation)]

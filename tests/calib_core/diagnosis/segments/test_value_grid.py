@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error
+from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error, step_at_rest
 
 STEP = 0.05
 SAMPLES = 500
@@ -59,3 +59,13 @@ def test_few_codes_are_a_grid() -> None:
 def test_few_codes_are_a_grid_that_were_printed_with_few_digits() -> None:
     codes = np.repeat(np.round(0.0012207 * np.array([3, 4, 5, 7, 12]), 5), 40)
     assert comb_step(codes) == pytest.approx(0.0012207, rel=5e-3)
+
+
+def test_values_that_go_between_few_codes_have_a_step() -> None:
+    """A phone that stays in one attitude reaches two to four codes: too few for a comb by themselves."""
+    noise = np.random.default_rng(1).normal(0.0, 0.003, 2000)
+    assert step_at_rest(0.01 * np.rint((0.203 + noise) / 0.01)) == pytest.approx(0.01)
+    two_attitudes = np.repeat([0.0, 4.2, 9.8], 700)
+    plugged = np.repeat(np.tile([0.2, 0.25], 20), 50)
+    uneven = np.random.default_rng(2).choice([0.0, 1.0, 2.5], 2000)
+    assert [step_at_rest(x) for x in (two_attitudes, plugged, uneven, np.full(2000, 9.8))] == [None] * 4

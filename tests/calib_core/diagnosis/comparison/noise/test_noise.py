@@ -17,7 +17,13 @@ from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import (
     slow_noise,
     why_no_slow_noise,
 )
-from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LEVEL, density, of_both, why_no_density
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import (
+    BLURRED,
+    LEVEL,
+    density,
+    of_both,
+    why_no_density,
+)
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_axes
@@ -29,6 +35,16 @@ from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE = 50.0
+
+
+def test_the_level_beneath_larger_steps_is_not_known() -> None:
+    """Midway between two steps it was half as much again, and a simulation without steps had too little."""
+    rng, step = np.random.default_rng(2), 0.03
+    xyz = np.array([0.315, 0.195, 9.795]) + rng.normal(0.0, 0.3 * step, (int(600.0 * RATE), 3))
+    samples = Samples(Sensor.ACCELEROMETER, np.arange(len(xyz)) / RATE, step * np.rint(xyz / step))
+    stream = examine(samples, None, sought=()).streams[0]
+    assert stream.levels is not None and stream.levels.values()[0] > 1.3 * 0.3 * step / 5.0
+    assert density(stream) is None and why_no_density(stream) == BLURRED
 
 
 def noise(kind: str) -> np.ndarray:
