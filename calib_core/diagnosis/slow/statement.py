@@ -83,15 +83,10 @@ def _first_in(
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
     An effect that was picked from many curves or grid points gives away the logarithm of their number, and
-    one without a name what names are preferred by. A copy is no rival: it says the same of the recording.
-    Nor is another name that cannot be told from it and is stated beside it.
+    what it needs to be told from wander, and one without a name what names are preferred by besides. A copy is
+    no rival: it says the same of the recording.
     """
-    different = [
-        (s, h)
-        for s, h in rivals
-        if not copies(own[0].hypothesis, s.hypothesis)
-        and (s.hypothesis.effect.name == "unknown" or not _alike(s, own[0]))
-    ]
+    different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
     mine, *others = (
         np.array(h.training) - np.log(tried(residuals, s.hypothesis)) - _given_away(s)
         for s, h in (own, *different)
@@ -100,8 +95,9 @@ def _first_in(
 
 
 def _given_away(one: Scored) -> float:
-    """Return the log evidence that a hypothesis gives away, nats: none with a name."""
-    return LN10 * thresholds.UNKNOWN_MARGIN if one.hypothesis.effect.name == "unknown" else 0.0
+    """Return the log evidence that a hypothesis gives away, nats."""
+    effect = one.hypothesis.effect
+    return LN10 * (effect.prior_penalty + thresholds.UNKNOWN_MARGIN * (effect.name == "unknown"))
 
 
 def _best_nameless(step: Step) -> list[Scored]:
@@ -140,14 +136,9 @@ def _predicted(
 
 
 def _alternative(other: Scored, winner: Scored, before: HeldOut, after: HeldOut) -> Alternative:
-    gain = after.log_score - before.log_score
-    return Alternative(other.hypothesis.effect.name, gain, _alike(other, winner))
-
-
-def _alike(other: Scored, winner: Scored) -> bool:
-    """Whether a recording cannot tell another effect from the one that was chosen."""
     apart = as_likely_beforehand(winner) - as_likely_beforehand(other)
-    return bool(apart < thresholds.MARGIN)
+    gain = after.log_score - before.log_score
+    return Alternative(other.hypothesis.effect.name, gain, bool(apart < thresholds.MARGIN))
 
 
 def named_axes(found: Estimate) -> list[str]:
