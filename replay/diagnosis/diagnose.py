@@ -10,10 +10,10 @@ from stillcal.replay.diagnosis.built_in import judge_built_in
 from stillcal.replay.diagnosis.condense import condensed
 from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, silent
-from stillcal.replay.diagnosis.paired import judge_paired
+from stillcal.replay.diagnosis.pair.paired import judge_paired
+from stillcal.replay.diagnosis.pair.witnesses import judge_with_witnesses
 from stillcal.replay.diagnosis.phone.phone_file import phone_text
 from stillcal.replay.diagnosis.phone.phone_simulation import judge_phone
-from stillcal.replay.diagnosis.witnesses import judge_with_witnesses
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import Phone
 

@@ -19,9 +19,11 @@ from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, r
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.paired import judge_paired, less, mean_readings, unsure_delay
+from stillcal.replay.diagnosis.pair.as_both import unsure_delay
+from stillcal.replay.diagnosis.pair.paired import judge_paired
+from stillcal.replay.diagnosis.pair.readings import less, mean_readings
+from stillcal.replay.diagnosis.pair.witnesses import MISMATCH, judge_with_witnesses
 from stillcal.replay.diagnosis.sample_changes import held_at
-from stillcal.replay.diagnosis.witnesses import MISMATCH, judge_with_witnesses
 from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording, read_all

@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.replay.diagnosis.judged import examined
-from stillcal.replay.diagnosis.paired import less
+from stillcal.replay.diagnosis.pair.readings import less
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, turned
 

@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.judged import examined
-from stillcal.replay.diagnosis.paired import less
+from stillcal.replay.diagnosis.pair.readings import less
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, turned
 

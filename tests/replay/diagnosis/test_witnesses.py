@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.daemon.cli.exits import BAD_INPUT
-from stillcal.replay.diagnosis.witnesses import judge_with_witnesses
+from stillcal.replay.diagnosis.pair.witnesses import judge_with_witnesses
 from stillcal.replay.diagnosis.words.summary import summary
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.one_body import Body, sensor, spun

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import Mounting, mounting
 from stillcal.calib_core.streams.resample import read_at
-from stillcal.replay.diagnosis.paired import readings_of
+from stillcal.replay.diagnosis.pair.readings import readings_of
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.one_body import UPRIGHT, Body, sensor, spun
 

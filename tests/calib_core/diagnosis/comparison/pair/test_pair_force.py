@@ -10,7 +10,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
-from stillcal.replay.diagnosis.paired import less
+from stillcal.replay.diagnosis.pair.readings import less
 from tests.support.diagnosis.turned_pairs import turned
 
 QUADRATIC, CUBIC = 2e-3, 2e-4

@@ -15,7 +15,8 @@ from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothes
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.replay.diagnosis.judged import examined
-from stillcal.replay.diagnosis.paired import less, mean_readings, rounding
+from stillcal.replay.diagnosis.pair.paired import rounding
+from stillcal.replay.diagnosis.pair.readings import less, mean_readings
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, REST, Flaw, perfect, turned
 

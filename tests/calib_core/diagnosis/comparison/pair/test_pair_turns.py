@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, KnownBefore, align
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
-from stillcal.replay.diagnosis.paired import mean_readings, readings_of
+from stillcal.replay.diagnosis.pair.readings import mean_readings, readings_of
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, Flaw, perfect, turned
 

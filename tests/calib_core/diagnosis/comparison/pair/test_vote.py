@@ -13,8 +13,8 @@ from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.slow.statement import Stated
-from stillcal.replay.diagnosis.paired import less, mean_readings
-from stillcal.replay.diagnosis.witnesses import MISMATCH
+from stillcal.replay.diagnosis.pair.readings import less, mean_readings
+from stillcal.replay.diagnosis.pair.witnesses import MISMATCH
 from tests.support.diagnosis.one_body import LENGTH, course, sensor
 
 DRIFT = np.array([2e-3, 0.0, -1e-3])

@@ -30,8 +30,9 @@ from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, charging_events, examined, silent
-from stillcal.replay.diagnosis.owners import owners_of, tell_owners
-from stillcal.replay.diagnosis.paired import AGAIN, READINGS, less, mean_readings, readings_of, refuse_itself
+from stillcal.replay.diagnosis.pair.owners import owners_of, tell_owners
+from stillcal.replay.diagnosis.pair.paired import AGAIN, READINGS
+from stillcal.replay.diagnosis.pair.readings import less, mean_readings, readings_of, refuse_itself
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.units import plain
 from stillcal.replay.formats.trace import Recording

@@ -1,0 +1,93 @@
+"""Two recordings of one motion, each with the limits, low-passes and held samples of both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
+from stillcal.calib_core.diagnosis.direct.repeated_values import held_rows
+from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.streams.samples import Samples
+from stillcal.replay.diagnosis.pair.readings import shared_streams
+from stillcal.replay.diagnosis.sample_changes import clipped, held_at, low_passed
+from stillcal.replay.formats.trace import Recording
+
+NYQUIST = 0.49
+"""Part of the sample rate above which no filter has a cutoff."""
+
+
+def as_both(
+    both: tuple[Recording, Recording], exams: Sequence[Examination], low_passes: Sequence[Difference]
+) -> tuple[Recording, Recording, float]:
+    """Return both with limits, low-passes and held samples of both, so that the rest can be judged.
+
+    low_passes: those that differ. The third is the standard error, s, of what these delay.
+    """
+    limits = _limits(exams)
+    own = _filtered(_limited(both[0], limits), [d.simulated for d in low_passes])
+    other = _filtered(_limited(both[1], limits), [d.recorded for d in low_passes])
+    rate = 1.0 / sample_period(both[0].accelerometer.t)
+    unsure = [unsure_delay(q, rate) for d in low_passes for q in (d.recorded, d.simulated) if not q.none]
+    return *held_alike(own, other), max(unsure, default=0.0)
+
+
+def unsure_delay(low_pass: Quantity, rate: float) -> float:
+    """Return the standard error, s, of what a low-pass delays, played at a rate, Hz.
+
+    A digital filter near half the rate delays by less than the analogue one of its cutoff, and the recording
+    may be behind either.
+    """
+    cutoff, order = float(np.exp(low_pass.value[0])), int(low_pass.reference["order"])
+    analogue = 1.0 / (2.0 * np.pi * cutoff)
+    digital = 1.0 / (2.0 * rate * np.tan(np.pi * min(cutoff / rate, NYQUIST)))
+    apart = (analogue - digital) / np.sin(np.pi / (2 * order))
+    return float(np.hypot(UNSURE * analogue, apart / np.sqrt(2.0)))
+
+
+def _filtered(recording: Recording, low_passes: Sequence[Quantity]) -> Recording:
+    """Return a recording behind the low-passes of the other, so that both sides are behind all of them."""
+    for one in low_passes:
+        if not one.none:
+            recording = _changed(recording, one.sensor, partial(low_passed, found=one))
+    return recording
+
+
+def _changed(recording: Recording, sensor: str, change: Callable[[Samples], Samples]) -> Recording:
+    """Return a recording with the samples of one sensor changed, where it has that sensor."""
+    if sensor == "accel":
+        return replace(recording, accelerometer=change(recording.accelerometer))
+    gyroscope = recording.gyroscope
+    return recording if gyroscope is None else replace(recording, gyroscope=change(gyroscope))
+
+
+def _limits(exams: Sequence[Examination]) -> dict[str, float]:
+    """Return by sensor the lowest value at which one of the two saturates."""
+    limits: dict[str, float] = {}
+    for one in (s.finding for exam in exams for s in exam.statements):
+        if one.effect.endswith("_saturation"):
+            here = float(np.min(one.parameters["limit"].value))
+            limits[one.sensor] = min(here, limits.get(one.sensor, np.inf))
+    return limits
+
+
+def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
+    """Return a recording that saturates where one of the two does: beyond it their readings say nothing."""
+    for sensor, limit in limits.items():
+        recording = _changed(recording, sensor, partial(clipped, limit=limit))
+    return recording
+
+
+def held_alike(recording: Recording, simulation: Recording) -> tuple[Recording, Recording]:
+    """Return both with the samples held that either holds: such a one reads the motion of a moment before."""
+    for sensor, own, other in shared_streams(recording, simulation):
+        again = held_rows(own) | held_rows(other)
+        recording, simulation = (
+            _changed(one, sensor, partial(held_at, again=again)) for one in (recording, simulation)
+        )
+    return recording, simulation

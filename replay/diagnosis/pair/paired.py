@@ -1,0 +1,153 @@
+"""A simulation of the recording's own motion (`--paired`): what one reads less the other is judged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import slow_effects
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
+from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, KnownBefore, align
+from stillcal.calib_core.diagnosis.comparison.pair.compare import (
+    compare_in_pair,
+    without_equation,
+    without_found,
+)
+from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
+from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
+from stillcal.calib_core.diagnosis.comparison.pair.stands import (
+    with_own_of_simulation,
+    with_owner_of_unknown,
+)
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
+from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.given_simulation import of_other_values, with_own_values
+from stillcal.replay.diagnosis.judged import (
+    Judged,
+    ShowStage,
+    charging_events,
+    examined,
+    refuse_short,
+    silent,
+)
+from stillcal.replay.diagnosis.pair.as_both import as_both, held_alike
+from stillcal.replay.diagnosis.pair.readings import (
+    less,
+    mean_readings,
+    readings_of,
+    refuse_itself,
+    refuse_other_motion,
+    refuse_other_stamps,
+    refuse_shifted,
+)
+from stillcal.replay.formats.trace import Recording
+
+READINGS = "comparing the readings of one motion"
+AGAIN = "comparing again, without what was found"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pair:
+    """A recording and a simulation of its motion, each examined by itself.
+
+    values: what single samples and the noise at rest of the two differ by.
+    """
+
+    recording: Recording
+    simulation: Recording
+    exams: tuple[Examination, Examination]
+    values: Comparison
+
+    @classmethod
+    def of(cls, recording: Recording, simulation: Recording, show_stage: ShowStage) -> _Pair:
+        """Examine both."""
+        exams = examined(recording, show_stage, sought=()), examined(simulation, show_stage, sought=())
+        show_stage(READINGS, 0.0)
+        values = _values_of(exams, (recording.name, simulation.name))
+        return cls(recording, simulation, exams, values)
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """What the two are called."""
+        return self.recording.name, self.simulation.name
+
+    def known(self, unsure: float) -> KnownBefore:
+        """Return what is known before their motion is compared. unsure: s, what low-passes delay."""
+        still = self.exams[1].bins.rate
+        at_rest = None if still is None or not len(still) else np.median(still, axis=0)
+        return KnownBefore(unsure, at_rest, rounding(self.exams))
+
+
+def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
+    """Judge a recording less a simulation of the same motion at the same stamps.
+
+    Values and noise at rest are those of either, and compared as such. Raises UserError where stamps or the
+    motion differ, NotSupported on too little data.
+    """
+    refuse_itself(recording, [simulation])
+    refuse_other_stamps(recording, simulation)
+    refuse_short(recording, simulation)
+    refuse_other_motion(recording, simulation)
+    pair = _Pair.of(recording, simulation, show_stage)
+    recorded, simulated = pair.exams
+    low_passes = [d.difference for d in pair.values.discrepancies if d.difference and d.effect == LOW_PASS]
+    own, other, unsure = as_both((recording, simulation), pair.exams, low_passes)
+    refuse_shifted(own, other)
+    known = pair.known(unsure)
+    motion = align(readings_of(own), mean_readings(own, [other]), known)
+    true = motion.readings
+    apart, charging = less(own, true), charging_events(recording)
+    bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=known.rounding)
+    exam = examined_in_pair(recorded, bins, sensors, motion.found, lambda done: show_stage(READINGS, done))
+    slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated)
+    slow = with_owner_of_unknown(slow, exam, recorded, simulated)
+    before = slow.and_of(pair.values)
+    fit = Fit.of(before, before)
+    if before.discrepancies:
+        show_stage(AGAIN, 0.0)
+        fit = _corrected_fit(pair, exam, slow, known, motion)
+    stated = findings_stated([s.finding for s in recorded.statements], "recorded")
+    stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
+    answer = answer_of(before, pair.names, fit, stated, exam.bins.temperature)
+    return Judged(recording, exam, simulated, before, None, None, answer)
+
+
+def _corrected_fit(
+    pair: _Pair, exam: Examination, slow: Comparison, known: KnownBefore, motion: Alignment
+) -> Fit:
+    """Return how the simulation fits before and after it is corrected.
+
+    exam: of the difference of readings, in which `slow` was found, and `motion` of what moves.
+    """
+    recorded, simulated = pair.exams
+    moved = {(s.finding.effect, s.finding.sensor) for s in motion.found}
+    in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
+    played = [*pair.values.discrepancies, *in_motion]
+    made = correct(pair.simulation, played, {})
+    own, other = held_alike(pair.recording, made.recording)
+    left = align(readings_of(own), mean_readings(own, [other]), known)
+    after = without_found(exam, slow, left.found, left)
+    measured = examined(made.recording, silent, sought=())
+    measured = with_own_values(measured, simulated, of_other_values(played, made))
+    after = after.and_of(_values_of((recorded, measured), pair.names))
+    out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
+    return Fit.of(slow.and_of(pair.values), after, [*out, *made.left_out])
+
+
+def _values_of(exams: tuple[Examination, Examination], names: tuple[str, str]) -> Comparison:
+    """Compare what single samples and the noise at rest show, beside the slow effects that are looked for."""
+    return compare_samples(exams, names, len(list(slow_effects(exams[0]))))
+
+
+def rounding(exams: Sequence[Examination]) -> dict[str, Array]:
+    """Return, by sensor, the sd (3,) that coarse steps of two recordings leave in a mean difference."""
+    out: dict[str, Array] = {}
+    for stream in (s for exam in exams for s in exam.streams):
+        out[stream.sensor] = np.hypot(out.get(stream.sensor, np.zeros(3)), stream.steps.left_in_mean())
+    return out
