@@ -83,8 +83,8 @@ def _first_in(
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
     An effect that was picked from many curves or grid points gives away the logarithm of their number, and
-    what it needs to be told from wander, and one without a name what names are preferred by besides. A copy is
-    no rival: it says the same of the recording.
+    what it needs to be told from wander, and one without a name what names are preferred by besides. A copy
+    is no rival: it says the same of the recording.
     """
     different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
     mine, *others = (
