@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,43 +69,70 @@ def pair_residuals(
         raise NotSupported(f"{span[1] - span[0]:.0f} s of the same motion", (f"at least {least} s",))
     known = None if added is None else cut_all(added.force, added.rate, events, span)
     powers = {p: cut_all(_power(true.force, p), true.rate, events, span).force for p in FEWEST_OF_DEGREE}
-    coarse = rounding or {}
-    bins = replace(
+    cut = _Cut(_with_inputs(left, moved, rounding or {}), left, moving, judged, mismatch)
+    inputs = (moved.force, None if known is None else known.force)
+    force = cut.views("accel", (left.force, left.force_variance), true.force, inputs)
+    up = moved.force / STANDARD
+    sensors = [SensorResiduals("accel", cut.bins, force, STANDARD, up, force_powers=powers)]
+    if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
+        assert true.rate is not None, "it was cut"
+        inputs = (moved.rate, None if known is None else known.rate)
+        rate = cut.views("gyro", (left.rate, left.rate_variance), true.rate, inputs)
+        gyro = SensorResiduals("gyro", cut.bins, rate, STANDARD, up, force_powers=powers)
+        sensors.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
+    return cut.bins, sensors
+
+
+def _with_inputs(left: Bins, moved: Bins, rounding: Mapping[str, Array]) -> Bins:
+    """Return the bins of a difference with the true input, and with what coarse steps leave in means."""
+    return replace(
         left,
         force=moved.force,
         rate=moved.rate,
         vibration=moved.vibration,
-        force_rounding=coarse.get("accel"),
-        rate_rounding=coarse.get("gyro"),
+        force_rounding=rounding.get("accel"),
+        rate_rounding=rounding.get("gyro"),
     )
-    up = moved.force / STANDARD
 
-    def residuals(
-        sensor: str, mean: Array, variance: Array, read: Samples, inputs: tuple[Array, Array | None]
-    ) -> SensorResiduals:
-        shaken = mismatch**2 * shaking(read, left)[:, None]
-        count = len(read) * left.duration / (span[1] - span[0])
-        error = coarse.get(sensor, np.zeros(3))
-        single = error**2 / count[:, None]
-        views = _views(left, mean, np.maximum(variance, single) + shaken, inputs, judged)
-        views = tuple(
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Cut:
+    """How a difference of readings is cut.
+
+    bins: with the true input; left: the same bins with the difference; moving: (n,) 0 at rest; judged: the
+    same, None where all bins are judged alike; mismatch: as in `pair_residuals`.
+    """
+
+    bins: Bins
+    left: Bins
+    moving: Array
+    judged: Array | None
+    mismatch: float
+
+    def views(
+        self, sensor: str, seen: tuple[Array, Array], true: Samples, inputs: tuple[Array, Array | None]
+    ) -> tuple[View, ...]:
+        """Return the views of a sensor's three axes.
+
+        seen: the difference's means and their variance (n, 3); true: what the other reads; inputs: the true
+        ones (n, 3), and what effects of turns added there.
+        """
+        mean, variance = seen
+        rounded = self.bins.force_rounding if sensor == "accel" else self.bins.rate_rounding
+        error = np.zeros(3) if rounded is None else rounded
+        start, end = self.left.span
+        count = len(true) * self.left.duration / (end - start)
+        shaken = self.mismatch**2 * shaking(true, self.left)[:, None]
+        variance = np.maximum(variance, error**2 / count[:, None]) + shaken
+        views = _views(self.left, mean, variance, inputs, self.judged)
+        return tuple(
             replace(
                 v,
-                shared=_of_steps(sensor, moving, e),
+                shared=_of_steps(sensor, self.moving, e),
                 known=EXACTLY if sensor == "accel" and e > 0.0 else v.known,
             )
             for v, e in zip(views, error, strict=True)
         )
-        return SensorResiduals(sensor, bins, views, STANDARD, up, force_powers=powers)
-
-    inputs = (moved.force, None if known is None else known.force)
-    sensors = [residuals("accel", left.force, left.force_variance, true.force, inputs)]
-    if left.rate is not None and left.rate_variance is not None and moved.rate is not None:
-        assert true.rate is not None, "it was cut"
-        inputs = (moved.rate, None if known is None else known.rate)
-        gyro = residuals("gyro", left.rate, left.rate_variance, true.rate, inputs)
-        sensors.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
-    return bins, sensors
 
 
 def _power(samples: Samples, exponent: int) -> Samples:
