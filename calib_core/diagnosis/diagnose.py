@@ -146,7 +146,9 @@ def _of_samples(
     clear = outside_of(bins, spoiled)
     streams = [Stream.of(s, x, clear) for s, x in sensors]
     streams = [replace(s, levels=None, silent=True) if s.sensor in silent else s for s in streams]
-    nameless = [f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear)]
+    nameless = [
+        f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear, s.vibrations)
+    ]
     named = judged(direct_findings(streams, claims, sound), accelerometer, [x for _, x in sensors])
     flat = [f for s, x in sensors if (f := dead(x, s))]
     whole = [f for f in (doubled, turned) if f]

@@ -94,6 +94,11 @@ class Stream:
         return float(self.samples.t[0]), float(self.samples.t[-1])
 
     @property
+    def vibrations(self) -> list[float]:
+        """Frequencies, a sample, of the vibrations found."""
+        return [frequency / self.still.rate for frequency in self.still.lines]
+
+    @property
     def repeats_many(self) -> bool:
         """Whether so many samples repeat the one before that its spectrum is not that of the noise."""
         seen = repeats.Repeats.of(self.samples)

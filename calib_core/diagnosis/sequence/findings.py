@@ -29,15 +29,18 @@ NAMED_CODES = "missing_codes"
 LEAST_SAMPLES = 200
 
 
-def sequence_findings(samples: Samples, calm: Samples, sensor: str, bins: Bins) -> list[Finding]:
+def sequence_findings(
+    samples: Samples, calm: Samples, sensor: str, bins: Bins, vibrations: Sequence[float] = ()
+) -> list[Finding]:
     """Return what one sensor's samples show that has no name.
 
-    calm: the same without single outliers (`neighbours.without_outliers`); bins: the still ones.
+    calm: the same without single outliers (`neighbours.without_outliers`); bins: the still ones; vibrations:
+    those that were found, frequencies a sample.
     """
     if len(samples) < LEAST_SAMPLES:
         return []
     still = still_rows(samples.t, bins)
-    noise = Noise.of(calm.xyz, still)
+    noise = Noise.of(calm.xyz, still, vibrations)
     drops, dropped = dropouts(samples, sensor)
     found = [
         drops,

@@ -65,8 +65,11 @@ class Noise:
     vibrations: Array
 
     @classmethod
-    def of(cls, xyz: Array, still: NDArray[np.bool_]) -> Noise | None:
-        """Return the noise of values (n, 3), m = n - 4 of them; None where rests do not show it."""
+    def of(cls, xyz: Array, still: NDArray[np.bool_], known: Sequence[float] = ()) -> Noise | None:
+        """Return the noise of values (n, 3), m = n - 4 of them; None where rests do not show it.
+
+        known: frequencies, a sample, of vibrations that were found.
+        """
         rest = still[REACH:-REACH]
         if rest.sum() < LEAST_SAMPLES:
             return None
@@ -76,7 +79,7 @@ class Noise:
         unit = spread(left[rest])
         if held > MOST_HELD or (unit <= LEAST_SPREAD).any():
             return None
-        plain, vibrations = without_sines(left, rest)
+        plain, vibrations = without_sines(left, rest, known)
         return cls(rest, left / unit, plain / spread(plain[rest]), vibrations)
 
     @cached_property

@@ -62,12 +62,15 @@ def without_bands(left: Array, middles: Sequence[float], half: float) -> Array:
     return np.column_stack(cut)
 
 
-def without_sines(left: Array, rest: NDArray[np.bool_]) -> tuple[Array, Array]:
+def without_sines(left: Array, rest: NDArray[np.bool_], known: Sequence[float] = ()) -> tuple[Array, Array]:
     """Return residuals (n, 3) without sines that stand out of the spectrum, and their frequencies, a sample.
 
-    rest: (n,), where residuals are; they are nothing elsewhere.
+    rest: (n,), where residuals are; they are nothing elsewhere. known: frequencies that single rests show; in
+    another attitude a sine may have the opposite sign, and the spectrum of all has none of it.
     """
-    parts, found = _pieces(rest), []
+    parts, found = _pieces(rest), list(known)
+    for frequency in known:
+        left = _without_sine(left, parts, frequency)
     for _ in range(MOST_SINES):
         frequency = _clearest_sine(left)
         if frequency is None:

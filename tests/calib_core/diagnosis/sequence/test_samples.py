@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.diagnose import diagnose
+from stillcal.calib_core.diagnosis.diagnose import diagnose, examine
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
@@ -277,3 +277,15 @@ def test_a_spike_at_regular_times_is_one_finding() -> None:
     found = diagnose(Samples.checked(Sensor.ACCELEROMETER, t, xyz), gyroscope).findings
     assert [(f.effect, f.sensor, f.axes) for f in found] == [("unknown", "accel", ["x"])]
     assert found[0].parameters["count"].value == pytest.approx(60.0, abs=3.0)
+
+
+def test_two_vibrations_that_change_sign_with_the_attitude_are_no_noise_by_the_count() -> None:
+    """The spectrum of all rests has neither, and the size of both goes up and down at their sum."""
+    rng, t = np.random.default_rng(2), np.arange(40000) / 100.0
+    up = rng.normal(size=(20, 3))
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    toward = np.repeat(np.concatenate([up, -up])[rng.permutation(40)], 1000, axis=0)
+    shaken = 0.3 * np.sin(2.0 * np.pi * 11.3 * t) + 0.2 * np.sin(2.0 * np.pi * 17.9 * t)
+    xyz = toward * (9.81 + shaken)[:, None] + rng.normal(0.0, 0.015, (t.size, 3))
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, xyz), None, sought=())
+    assert [s.finding.effect for s in exam.statements] == ["vibration_tone"] * 2
