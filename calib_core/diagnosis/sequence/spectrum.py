@@ -69,8 +69,8 @@ def without_sines(left: Array, rest: NDArray[np.bool_], known: Sequence[float] =
     another attitude a sine may have the opposite sign, and the spectrum of all has none of it.
     """
     parts, found = _pieces(rest), list(known)
-    for frequency in known:
-        left = _without_sine(left, parts, frequency)
+    for each in known:
+        left = _without_sine(left, parts, each)
     for _ in range(MOST_SINES):
         frequency = _clearest_sine(left)
         if frequency is None:
