@@ -33,6 +33,8 @@ SHORTEST = 64
 LOWEST = 0.02
 CUTOFFS = 240
 ORDERS = (1, 2, 4)
+FASTER = (1, 2, 4, 16)
+"""Times the sample rate at which a sensor filters: at the last its filter is as good as analogue."""
 USED_RANGE = 3.5
 LEAST_PIECES = 3
 CLEAN = 0.02
@@ -172,11 +174,22 @@ def _shapes(f: Array, cutoffs: Array, rate: float) -> list[tuple[int, Array]]:
     An exponential average, y[n] = (1 - a) x[n] + a y[n - 1], is of the first order and goes as the sine.
     """
     half = np.pi * np.minimum(f, 0.4999 * rate) / rate, np.pi * cutoffs / rate
-    analogue, bilinear = (f, cutoffs), (np.tan(half[0]), np.tan(half[1]))
-    kinds = [*product((analogue, bilinear), ORDERS), ((np.sin(half[0]), np.sin(half[1])), 1)]
-    return [
-        (order, 1.0 / (1.0 + (at[None, :] / cutoff[:, None]) ** (2 * order))) for (at, cutoff), order in kinds
-    ]
+    bilinear = [(n, _bilinear(f, cutoffs, rate, times, n)) for times, n in product(FASTER, ORDERS)]
+    analogue = [(n, 1.0 / (1.0 + (f[None, :] / cutoffs[:, None]) ** (2 * n))) for n in ORDERS]
+    return [*analogue, *bilinear, (1, 1.0 / (1.0 + (np.sin(half[0]) / np.sin(half[1])[:, None]) ** 2))]
+
+
+def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> Array:
+    """Return the power (C, F) of noise behind a bilinear filter at `times` the rate, 1 at low frequency.
+
+    Of such samples every so-many-th is read: what the filter leaves beyond half the rate folds back.
+    """
+    k = np.arange(times)
+    images = np.where(k % 2 == 0, 1.0, -1.0)[:, None] * f + (k[:, None] + 1) // 2 * rate
+    warped = np.tan(np.pi * np.minimum(images, 0.4999 * times * rate) / (times * rate))
+    edge = np.tan(np.pi * cutoffs / (times * rate))
+    power = (1.0 / (1.0 + (warped / edge[:, None, None]) ** (2 * order))).sum(axis=1)
+    return np.asarray(power / power[:, :1])
 
 
 def _low_pass(
@@ -214,10 +227,10 @@ def _low_pass(
     as_good = [fit[4] for fit in fits if seen.size * (fit[0] - least) / least < 4.0 * SHARED]
     if _level_beyond(logs, np.max(as_good, axis=0), band, used):
         return None
-    near = cutoffs[seen.size * (misfit - least) / least < 4.0]
+    near = np.concatenate([cutoffs[seen.size * (fit[3] - least) / least < 4.0] for fit in fits])
     # What steps do to noise as fine as they are is no white noise: as much as it is of the power is unsure.
     unsure = (MODEL + rounded) * float(cutoffs[k])
-    spread = max(float(np.sqrt(SHARED)) * float(near[-1] - near[0]) / 4.0, unsure)
+    spread = max(float(np.sqrt(SHARED)) * float(np.ptp(near)) / 4.0, unsure)
     return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order, rounded)
 
 
