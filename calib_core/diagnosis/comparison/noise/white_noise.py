@@ -198,14 +198,15 @@ def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, 
     """Return both sides without the white noise and low-pass of a sensor that repeats many more values.
 
     Values that are repeated for one sample have more power at low and less at high frequencies. The cutoff
-    that they make goes with the sample rate: where both repeat many, that of the higher rate is left out.
+    that they make goes with the sample rate: where both repeat many, that of the higher rate is left out, and
+    both where only one is told.
     """
 
     def spoiled(side: Mapping[Key, Quantity], other: Mapping[Key, Quantity], key: Key) -> bool:
         shares = (one.get(("held_samples", key[1])) for one in (side, other))
         own, others = (0.0 if q is None or q.none else float(np.exp(q.value[0])) for q in shares)
-        faster = key[0] == LOW_PASS and _of_higher_rate(side[key], other.get(key))
-        return own - others >= MANY or (own >= MANY and faster)
+        unlike = key[0] == LOW_PASS and _made_unlike(side[key], other.get(key))
+        return own - others >= MANY or (own >= MANY and unlike)
 
     return [
         {k: q for k, q in side.items() if k[0] not in (LEVEL, LOW_PASS) or not spoiled(side, other, k)}
@@ -213,8 +214,10 @@ def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, 
     ]
 
 
-def _of_higher_rate(own: Quantity, other: Quantity | None) -> bool:
-    """Whether a quantity is shown in a wider band than the other by more than cutoffs differ."""
+def _made_unlike(own: Quantity, other: Quantity | None) -> bool:
+    """Whether a cutoff is shown in a wider band than the other by more than cutoffs differ, or only one is."""
+    if other is not None and own.none != other.none:
+        return True
     ends = [q.where.band_hz[1] for q in (own, other) if q is not None and q.where is not None]
     return len(ends) == 2 and ends[0] > (1.0 + ALIKE_CUTOFF) * ends[1]
 
