@@ -215,7 +215,7 @@ def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, 
 
 
 def _made_unlike(own: Quantity, other: Quantity | None) -> bool:
-    """Whether a cutoff is shown in a wider band than the other by more than cutoffs differ, or only one is."""
+    """Whether a cutoff is of a wider band than the other by more than cutoffs differ, or stands alone."""
     if other is not None and own.none != other.none:
         return True
     ends = [q.where.band_hz[1] for q in (own, other) if q is not None and q.where is not None]
