@@ -56,7 +56,8 @@ def _played(
     corrected = named(with_known(case.played(case.phone()), case.beside), f"{BUILT_IN}, corrected")
     beside = {known.effect.name for known in case.beside}
     left_out = [effect for effect in case.not_in_phone() if effect not in beside]
-    after = compare(recorded, examined(corrected, show_stage, sought=_found_again(recorded)), names)
+    measured = examined(corrected, show_stage, sought=_found_again(recorded))
+    after = compare(recorded, measured, names, played=True)
     return Fit.of(before, after, left_out).without_own_constants(), after, corrected
 
 

@@ -104,11 +104,11 @@ def judge_examined(
 ) -> Judged:
     """Compare a recording with a simulation's, both with their examinations.
 
-    again: makes the simulation anew with what was found; None where it is put into the samples.
+    again: plays the simulation, a phone, anew with what was found; None where it is put into the samples.
     """
-    names = (recording.name, simulation.name)
+    names, played = (recording.name, simulation.name), again is not None
     show_stage("comparing", 0.0)
-    before = compare(recorded, simulated, names)
+    before = compare(recorded, simulated, names, played=played)
     answer = answered(before, None, recorded, simulated, names)
     if not before.discrepancies:
         return Judged(recording, recorded, simulated, before, None, None, answer)
@@ -117,7 +117,7 @@ def judge_examined(
     measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
     if again is None:
         measured = with_own_values(measured, simulated, of_other_values(before.discrepancies, made))
-    after = compare(recorded, measured, names)
+    after = compare(recorded, measured, names, played=played)
     answer = answered(before, Fit.of(before, after, made.left_out), recorded, simulated, names)
     return Judged(recording, recorded, simulated, before, after, made.recording, answer)
 

@@ -81,11 +81,19 @@ class _Asked:
         return [w for w in self.wanted if w.hypothesis.effect.key not in keys]
 
 
-def compare(recorded: Examination, simulated: Examination, names: tuple[str, str]) -> Comparison:
-    """Compare a recording with a simulation. names: of both, for the reasons given."""
+def compare(
+    recorded: Examination, simulated: Examination, names: tuple[str, str], *, played: bool = False
+) -> Comparison:
+    """Compare a recording with a simulation.
+
+    names: of both, for the reasons given. played: whether the simulation is a phone that was played, which is
+    stamped when it samples; stamps that are times of delivery are not held against its own.
+    """
     exams = _named_by(simulated, recorded), _named_by(recorded, simulated)
     asked = _asked_of(exams, names)
-    pairs, missing = _paired(exams, _sides(exams, asked), asked.wanted, names)
+    bursts = [{}, {}] if played else stamped_in_bursts(exams)
+    sides = [burst | side for burst, side in zip(bursts, _sides(exams, asked), strict=True)]
+    pairs, missing = _paired(exams, sides, asked.wanted, names)
     looked = [_looked_for(exam) for exam in exams]
     reasons = [one.reasons for one in looked]
     direct, alone, unseen = differences_of_samples(exams, reasons, names, asked.unlogged)
@@ -226,8 +234,8 @@ def _sides(exams: tuple[Examination, Examination], asked: _Asked) -> list[dict[K
     ]
     shown = where_both_agree(shown, means, settling, anew)
     shown = not_logged.with_unknown_temperature(shown, asked.unlogged)
-    more = white_noise.of_both((recorded, simulated)), stamped_in_bursts((recorded, simulated))
-    shown = [bursts | side | noise for side, noise, bursts in zip(shown, *more, strict=True)]
+    more = white_noise.of_both((recorded, simulated))
+    shown = [side | noise for side, noise in zip(shown, more, strict=True)]
     sides = white_noise.without_repeated(shown)
     if asked.steady:
         sides[1] = of_any_course(simulated, asked.of_simulation, asked.steady, sides[1])

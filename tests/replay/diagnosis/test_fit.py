@@ -5,11 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.model.records import Where
+from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.answer import Fit, answer_of
+from stillcal.replay.diagnosis.built_in import judge_built_in
+from stillcal.replay.formats.claims import Claims
+from stillcal.replay.formats.trace import Recording
 
 
 def test_what_is_unknown_counts_in_both_and_a_rate_that_cannot_be_put_in_in_neither() -> None:
@@ -79,3 +84,13 @@ def test_a_difference_beyond_doubt_is_stated_with_how_often_such_statements_are_
     where = Where(0.0, 900.0, (0.0, 0.05), "time")
     sure, nearly = (Discrepancy("unknown", "gyro", [], where, "lacking", odds, 20.0) for odds in (1.0, 0.96))
     assert sure.true == pytest.approx(0.97) and nearly.true == pytest.approx(0.96 * 0.97)
+
+
+def test_a_phone_that_is_played_is_stamped_when_it_samples_whatever_stamps_the_recording() -> None:
+    n = 20_000
+    force = np.array([0.0, 0.0, 9.81]) + np.random.default_rng(1).normal(0.0, 0.02, (n, 3))
+    delivered = np.repeat(np.arange(4, n, 5) / 50.0, 5) + 1e-3 * np.tile(np.arange(-4, 1), n // 5)
+    accelerometer = Samples(Sensor.ACCELEROMETER, frozen(delivered), frozen(force))
+    said = judge_built_in(Recording(accelerometer, None, [], Claims(), [], name="log.csv")).answer
+    assert [f["effect"] for f in said["findings"]] == ["arrival_bursts"]
+    assert said["fit"]["still_different"] == [] and said["fit"]["p_after"] > 0.01

@@ -229,6 +229,7 @@ def test_stamps_that_come_in_bursts_are_a_difference() -> None:
     for pair, relation in ((exams, "lacking"), (exams[::-1], "superfluous"), (exams[:1] * 2, None)):
         found = compare(pair[0], pair[1], ("rec", "sim")).discrepancies
         assert [(d.effect, d.relation) for d in found] == ([("arrival_bursts", relation)] if relation else [])
+    assert compare(exams[0], exams[1], ("rec", "phone"), played=True).discrepancies == []
 
 
 def test_coarse_values_in_one_attitude_are_a_difference_and_no_noise() -> None:
