@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
@@ -10,7 +13,9 @@ from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, bandwidth, judged
+from stillcal.calib_core.diagnosis.noise.low_pass import quiet as quiet_of
 from stillcal.calib_core.diagnosis.stream import _noise_of
+from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE = 100.0
 WHITE = np.random.default_rng(8).normal(size=(20, 1000, 3))
@@ -98,3 +103,12 @@ def test_noise_louder_than_any_sensors_tells_no_filter() -> None:
         spectra, levels = _noise_of(quiet(size * shaking), Steps(np.zeros(3), size * np.ones(3)), "accel")
         assert spectra is not None and levels is not None
         assert levels.own == own and (spectra.low_pass is not None) == own
+
+
+def test_rests_that_follow_each_other_are_not_one_piece() -> None:
+    """At 4 Hz a bin of 10 s has 40 samples of the 64 that a piece needs: two of one rest make one."""
+    noise = np.random.default_rng(3).normal(size=(160, 3))
+    samples = Samples(Sensor.ACCELEROMETER, np.arange(160) / 4.0, noise)
+    for rest, count in (([0, 0, 0, 0], 2), ([0, 1, 1, 2], 1)):
+        bins = SimpleNamespace(t=4.875 + 10.0 * np.arange(4), duration=np.full(4, 10.0), rest=np.array(rest))
+        assert len(quiet_of(samples, cast(Any, bins)).pieces) == count

@@ -50,6 +50,14 @@ def test_a_sensor_without_noise_gets_that_of_a_quiet_one_where_it_moves(slope: f
     assert (with_its_noise(xyz) == made).all()
 
 
+def test_an_axis_of_a_gyroscope_that_stays_the_same_while_it_turns_is_dead() -> None:
+    turning = np.maximum(np.sin(np.arange(3000) / RATE / 3.0), 0.0)
+    one = Samples(Sensor.GYROSCOPE, np.arange(3000) / RATE, np.outer(turning, [1.0, 0.5, 0.0]))
+    made = with_noise(one, windows(one, 0.0, 60.0))
+    assert made is not None
+    assert (made[0].xyz - one.xyz).std(axis=0)[2] == 0.0
+
+
 def test_at_rest_an_axis_may_stay_the_same_and_is_not_dead() -> None:
     """Two axes whose bias drifts got noise, and the third one was then called dead."""
     made = with_its_noise(np.array([0.3, 0.0, 9.8]) + np.outer(np.arange(3000) / RATE, [1e-3, 2e-3, 0.0]))

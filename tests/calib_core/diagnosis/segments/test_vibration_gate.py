@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
@@ -28,6 +29,17 @@ def own_noise() -> Array:
     return np.random.default_rng(3).normal(0.0, 0.09, (T.size, 3))
 
 
+def louder_noise() -> Array:
+    """Return noise that is as white and three times as loud."""
+    return np.random.default_rng(7).normal(0.0, 0.25, (T.size, 3))
+
+
+def in_a_band() -> Array:
+    """Return shaking from 3 to 20 Hz, two thirds of the frequencies: what is beyond is the sensor's."""
+    shaking = lfilter(*butter(4, [3.0, 20.0], "band", fs=RATE), np.random.default_rng(5).normal(size=T.size))
+    return np.asarray(0.3 * SHAKEN * shaking / shaking.std())
+
+
 def on_a_road() -> Array:
     return np.asarray(np.random.default_rng(2).normal(0.0, 0.7 * SHAKEN, T.size))
 
@@ -41,6 +53,8 @@ def on_a_road() -> Array:
         (on_a_machine(2.1), False),  # no machine is that slow, and a car sways so
         (at_many_speeds(), False),
         (on_a_road(), False),
+        (louder_noise(), False),  # no sensor has as much
+        (in_a_band(), False),
     ],
 )
 def test_only_a_machine_leaves_rates_to_be_judged(shaking: Array, *, judged: bool) -> None:

@@ -30,6 +30,7 @@ from stillcal.calib_core.diagnosis.model.effect import Effect, Grid, Linear, on_
 from stillcal.calib_core.diagnosis.model.moments import Moments
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Where
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
+from stillcal.calib_core.diagnosis.segments.noise_range import LOUDEST, loudest
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -218,3 +219,18 @@ def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
 
     if not noise and not told:
         assert simulated is None and why_no_density(exams[1].streams[0]).endswith("steps that hide the noise")
+
+
+def test_noise_of_one_axis_that_a_step_would_hide_is_not_lacking() -> None:
+    """The recording's z has less noise than would move the simulation's values."""
+    quiet_z = stepped(0.02, 0.0, 1)
+    xyz = quiet_z.xyz.copy()
+    xyz[:, 2] = np.round(xyz[:, 2] / 20.0) * 20.0 + np.random.default_rng(4).normal(0.0, 1e-3, len(xyz))
+    exams = [examine(one, None, sought=()) for one in (replace(quiet_z, xyz=xyz), stepped(0.0, 0.01, 2))]
+    recorded, simulated = (side.get((LEVEL, "accel")) for side in of_both(exams))
+    assert recorded is not None and simulated is None
+
+
+def test_a_slow_log_has_all_the_noise_in_a_narrower_band() -> None:
+    assert loudest("accel", 100.0) == loudest("accel", 21.0) == LOUDEST["accel"]
+    assert loudest("accel", 21.0 / 4.0) == pytest.approx(2.0 * LOUDEST["accel"])
