@@ -82,22 +82,22 @@ def _first_in(
 ) -> int:
     """Return in how many folds an effect would be chosen before its rivals, without what is left out.
 
-    An effect that was picked from many curves or grid points gives away the logarithm of their number, and
-    what it needs to be told from wander, and one without a name what names are preferred by besides. A copy
-    is no rival: it says the same of the recording.
+    An effect that was picked from many curves or grid points gives away the logarithm of their number, one
+    without a name what names are preferred by, and a rival what it needs to be told from wander: the effect
+    itself has paid that in the search. A copy is no rival: it says the same of the recording.
     """
     different = [r for r in rivals if not copies(own[0].hypothesis, r[0].hypothesis)]
-    mine, *others = (
-        np.array(h.training) - np.log(tried(residuals, s.hypothesis)) - _given_away(s)
-        for s, h in (own, *different)
-    )
-    return int(np.sum(np.all([mine >= other for other in others], axis=0))) if others else len(mine)
+    mine, *others = (_in_folds(residuals, *each) for each in (own, *different))
+    paid = [LN10 * s.hypothesis.effect.prior_penalty for s, _ in different]
+    ahead = [mine >= other - toll for other, toll in zip(others, paid, strict=True)]
+    return int(np.sum(np.all(ahead, axis=0))) if others else len(mine)
 
 
-def _given_away(one: Scored) -> float:
-    """Return the log evidence that a hypothesis gives away, nats."""
-    effect = one.hypothesis.effect
-    return LN10 * (effect.prior_penalty + thresholds.UNKNOWN_MARGIN * (effect.name == "unknown"))
+def _in_folds(residuals: SensorResiduals, one: Scored, held: HeldOut) -> Array:
+    """Return the log evidence (k,) of the folds, less what many kin and a lacking name give away."""
+    margin = thresholds.UNKNOWN_MARGIN if one.hypothesis.effect.name == "unknown" else 0.0
+    given = np.log(tried(residuals, one.hypothesis)) + LN10 * margin
+    return np.asarray(held.training) - float(given)
 
 
 def _best_nameless(step: Step) -> list[Scored]:
