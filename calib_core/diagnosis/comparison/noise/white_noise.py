@@ -31,6 +31,10 @@ NONE_ERROR = 0.15
 ALIKE_CUTOFF = 0.05
 """Relative difference of two cutoffs that is none: they depend on the shape that is fitted."""
 
+BENEATH_STEPS = float(np.log(1.5))
+"""Standard deviation of the logarithm of a density beneath steps of 2.2 to 3.5 times a sample's: up to
+half as much again is seen of it, or less, by where between two steps the values lie."""
+
 NONE_AT_ALL = "it has no noise at all"
 BLURRED = "its values come in steps larger than the noise"
 UNSTEADY = "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
@@ -59,14 +63,15 @@ def density(stream: Stream) -> Quantity | None:
     """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown.
 
     What is louder than any sensor's noise is a difference too, if it is as white and as strong in all rests.
-    Of values in steps larger than the noise it is not known: they have up to half as much again, or less,
-    as they lie between two steps.
+    Beneath steps larger than it, it is known roughly (`BENEATH_STEPS`).
     """
     if stream.silent:
         return _density(stream, np.full(3, SILENT))
-    if stream.levels is None or not stream.levels.alike or stream.steps.blurs_level():
+    if stream.levels is None or not stream.levels.alike:
         return None
-    return _density(stream, np.maximum(stream.levels.values(), SILENT), stream.levels.errors())
+    rough = BENEATH_STEPS if stream.steps.blurs_level() else 0.0
+    errors = np.hypot(stream.levels.errors(), rough)
+    return _density(stream, np.maximum(stream.levels.values(), SILENT), errors)
 
 
 def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quantity:

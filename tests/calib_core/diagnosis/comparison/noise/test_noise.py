@@ -18,7 +18,6 @@ from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import (
     why_no_slow_noise,
 )
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import (
-    BLURRED,
     LEVEL,
     density,
     of_both,
@@ -38,14 +37,17 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 RATE = 50.0
 
 
-def test_the_level_beneath_larger_steps_is_not_known() -> None:
-    """Midway between two steps it was half as much again, and a simulation without steps had too little."""
+def test_the_level_beneath_larger_steps_is_known_roughly() -> None:
+    """Midway between two steps it is a third as much again: a simulation without steps had too little."""
     rng, step = np.random.default_rng(2), 0.03
-    xyz = np.array([0.315, 0.195, 9.795]) + rng.normal(0.0, 0.3 * step, (int(600.0 * RATE), 3))
-    samples = Samples(Sensor.ACCELEROMETER, np.arange(len(xyz)) / RATE, step * np.rint(xyz / step))
-    stream = examine(samples, None, sought=()).streams[0]
-    assert stream.levels is not None and stream.levels.values()[0] > 1.3 * 0.3 * step / 5.0
-    assert density(stream) is None and why_no_density(stream) == BLURRED
+    true = 0.3 * step / np.sqrt(RATE / 2.0)
+    noise = rng.normal(0.0, 0.3, (int(600.0 * RATE), 3))
+    codes = np.rint(np.array([10.5, 6.5, 326.5]) + noise)
+    samples = Samples(Sensor.ACCELEROMETER, np.arange(len(codes)) / RATE, step * codes)
+    shown = density(examine(samples, None, sought=()).streams[0])
+    assert shown is not None
+    off = shown.value - np.log(true)
+    assert (off > 0.25).all() and (off < shown.sigma).all()
 
 
 def noise(kind: str) -> np.ndarray:
