@@ -136,7 +136,8 @@ def _predicted(
 
 
 def _alternative(other: Scored, winner: Scored, before: HeldOut, after: HeldOut) -> Alternative:
-    apart = as_likely_beforehand(winner) - as_likely_beforehand(other)
+    beforehand = as_likely_beforehand(winner) - as_likely_beforehand(other)
+    apart = min(winner.score - other.score, beforehand)  # what looks like wander pays, or does not
     gain = after.log_score - before.log_score
     return Alternative(other.hypothesis.effect.name, gain, bool(apart < thresholds.MARGIN))
 
