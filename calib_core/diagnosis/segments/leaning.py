@@ -14,7 +14,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 FEWEST = 3
-"""Bins of a rest whose directions and lengths tell gravity's own."""
+"""Bins of a rest whose median direction is gravity's own."""
 
 STEEPEST = float(np.cos(0.3))
 """Cosine of a lean beyond which the phone was turned: no train or bus pushes by a third of gravity."""
@@ -25,24 +25,25 @@ def without_leaning(bins: Bins) -> Bins:
     if bins.rate is None or not len(bins):
         return bins
     size = np.linalg.norm(bins.force, axis=1, keepdims=True)
-    square = _leaning(bins, size[:, 0], bins.force / np.maximum(size, 1e-9), bins.rate)
+    square = _leaning(bins, bins.force / np.maximum(size, 1e-9), bins.rate)
     return replace(bins, force=bins.force / np.sqrt(1.0 + square)[:, None])
 
 
-def _leaning(bins: Bins, size: Array, up: Array, rate: Array) -> Array:
+def _leaning(bins: Bins, up: Array, rate: Array) -> Array:
     """Return the square (n,) of the tangent by which the force leans in its rest, no turn confirming it.
 
-    size, up: (n,) lengths and (n, 3) directions of force. Of the rate at which these lean in a rest, the
-    gyroscope's own rate has a share (least squares): so much of it is a tilt of the phone. Its bias is what
-    most rests show: what tilts evenly all through one rest has no other rate in it.
+    up: (n, 3) directions of force. Of the rate at which these lean in a rest, the gyroscope's own rate has a
+    share (least squares): so much of it is a tilt of the phone. Its bias is what most rests show: what tilts
+    evenly all through one rest has no other rate in it.
     """
     out = np.zeros(len(bins))
-    count = np.maximum(np.bincount(bins.rest), 1)[:, None]
-    means = np.stack([np.bincount(bins.rest, axis) for axis in rate.T], axis=1) / count
+    size = np.maximum(np.bincount(bins.rest), 1)[:, None]
+    means = np.stack([np.bincount(bins.rest, axis) for axis in rate.T], axis=1) / size
     bias = np.median(means, axis=0)
     for r in np.flatnonzero(np.bincount(bins.rest) >= FEWEST):
         rows = np.flatnonzero(bins.rest == r)
-        cosine = up[rows] @ _gravity(size[rows], up[rows])
+        middle = np.median(up[rows], axis=0)
+        cosine = up[rows] @ (middle / np.linalg.norm(middle))
         if cosine.min() < STEEPEST:
             continue
         leaning = np.cross(np.gradient(up[rows], bins.t[rows], axis=0), up[rows])
@@ -50,14 +51,3 @@ def _leaning(bins: Bins, size: Array, up: Array, rate: Array) -> Array:
         tilt = float((leaning * seen).sum()) / max(float((leaning**2).sum()), 1e-300)
         out[rows] = (1.0 / cosine**2 - 1.0) * (1.0 - np.clip(tilt, 0.0, 1.0))
     return out
-
-
-def _gravity(size: Array, up: Array) -> Array:
-    """Return gravity's own direction in a rest (3,), of bins' lengths (n,) and directions (n, 3) of force.
-
-    It is the one along which the force is the same in all bins, for what is pushed is pushed across it: a
-    train may accelerate through most of a rest, and their median then leans.
-    """
-    middle = np.median(up, axis=0)
-    tried = np.vstack([middle / np.linalg.norm(middle), up])
-    return np.asarray(tried[np.argmin((size[:, None] * (up @ tried.T)).var(axis=0))])

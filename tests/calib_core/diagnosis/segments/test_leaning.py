@@ -47,17 +47,3 @@ def test_a_phone_that_tilts_evenly_all_through_a_rest_leans_by_no_acceleration()
     force = nulls.G * bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
     length = np.linalg.norm(without_leaning(replace(bins, force=force)).force, axis=1)
     assert length == pytest.approx(nulls.G, abs=1e-3)
-
-
-@pytest.mark.parametrize("part", [0.2, 0.5, 0.9])
-def test_a_train_may_accelerate_through_most_of_a_rest(part: float) -> None:
-    """By 0.5 m/s^2; the median of the rest leans then, and what stands upright seemed to lean."""
-    t = np.arange(600.0)
-    day = nulls.Day(t, 0 * t.astype(np.int64), np.tile([0.0, 0.0, 1.0], (t.size, 1)), 25.0 + 0.0 * t, 0.0 * t)
-    rng = np.random.default_rng(1)
-    bins = nulls.bins_of(rng, day, "white")
-    pushed = np.where(bins.t < part * t.size, 0.5, 0.0)
-    force = np.stack([pushed, 0.0 * pushed, nulls.G + 0.0 * pushed], axis=1)
-    force += rng.normal(0.0, 1e-4, force.shape)
-    length = np.linalg.norm(without_leaning(replace(bins, force=force)).force, axis=1)
-    assert length == pytest.approx(nulls.G, abs=1.5e-3)
