@@ -49,7 +49,38 @@ def comb_step(values: Array) -> float | None:
 
     On a grid all differences of distinct values are multiples of the smallest.
     """
-    distinct, gaps = _gaps(values[:: max(1, values.size // COMB_SAMPLES)])
+    return _of_comb(*_gaps(_thinned(values)))
+
+
+def step_at_rest(values: Array) -> float | None:
+    """Return the step (unit) of values (n,), also of those that stay in one attitude; None for none seen.
+
+    There they reach too few codes for a comb, but to and fro between two to four numbers go only coarse ones:
+    what a simulation without noise reads in two attitudes, or with the charger on and off, changes rarely.
+    """
+    distinct, gaps = _gaps(_thinned(values))
+    if gaps.size >= LEAST_GAPS:
+        return _of_comb(distinct, gaps)
+    _, gaps = _gaps(values)
+    if not 0 < gaps.size < LEAST_GAPS or np.count_nonzero(np.diff(values)) < LEAST_CHANGES:
+        return None
+    step = float(gaps.min())
+    return step if np.abs(gaps / step - np.rint(gaps / step)).max() < OFF else None
+
+
+def _thinned(values: Array) -> Array:
+    return values[:: max(1, values.size // COMB_SAMPLES)]
+
+
+def _gaps(values: Array) -> tuple[Array, Array]:
+    """Return the distinct values, and the gaps between them that are no rounding of numbers."""
+    distinct = np.unique(values)
+    gaps = np.diff(distinct)
+    return distinct, gaps[gaps > max(1e-7, 2e-6 * float(np.abs(distinct).max(initial=0.0)))]
+
+
+def _of_comb(distinct: Array, gaps: Array) -> float | None:
+    """Return the step of distinct values with gaps between them; None where they lie on no grid."""
     if gaps.size < LEAST_GAPS:
         return None
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
@@ -60,29 +91,6 @@ def comb_step(values: Array) -> float | None:
     if off >= OFF or (2.0 * off) ** (np.count_nonzero(small) - 1) > BY_CHANCE:
         return None
     return _refined(distinct, step)
-
-
-def _gaps(values: Array) -> tuple[Array, Array]:
-    """Return the distinct values, and the gaps between them that are no rounding of numbers."""
-    distinct = np.unique(values)
-    gaps = np.diff(distinct)
-    return distinct, gaps[gaps > max(1e-7, 2e-6 * float(np.abs(distinct).max(initial=0.0)))]
-
-
-def step_at_rest(values: Array) -> float | None:
-    """Return the step (unit) of values (n,), also of those that stay in one attitude; None for none seen.
-
-    There they reach too few codes for a comb, but to and fro between two to four numbers go only coarse ones:
-    what a simulation without noise reads in two attitudes, or with the charger on and off, changes rarely.
-    """
-    step = comb_step(values)
-    if step is not None or np.count_nonzero(np.diff(values)) < LEAST_CHANGES:
-        return step
-    _, gaps = _gaps(values)
-    if not 0 < gaps.size < LEAST_GAPS:
-        return None
-    step = float(gaps.min())
-    return step if np.abs(gaps / step - np.rint(gaps / step)).max() < OFF else None
 
 
 def _refined(distinct: Array, step: float) -> float:
