@@ -111,17 +111,17 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     fit = Fit.of(before, before)
     if before.discrepancies:
         show_stage(AGAIN, 0.0)
-        fit = _corrected_fit(pair, exam, slow, known, motion)
+        fit = Fit.of(before, *_corrected(pair, exam, slow, known, motion))
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
     answer = answer_of(before, pair.names, fit, stated, exam.bins.temperature)
     return Judged(recording, exam, simulated, before, None, None, answer)
 
 
-def _corrected_fit(
+def _corrected(
     pair: _Pair, exam: Examination, slow: Comparison, known: KnownBefore, motion: Alignment
-) -> Fit:
-    """Return how the simulation fits before and after it is corrected.
+) -> tuple[Comparison, list[str]]:
+    """Return how the corrected simulation compares, and the effects that could not be put into it.
 
     exam: of the difference of readings, in which `slow` was found, and `motion` of what moves.
     """
@@ -137,7 +137,7 @@ def _corrected_fit(
     measured = with_own_values(measured, simulated, of_other_values(played, made))
     after = after.and_of(_values_of((recorded, measured), pair.names))
     out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
-    return Fit.of(slow.and_of(pair.values), after, [*out, *made.left_out])
+    return after, [*out, *made.left_out]
 
 
 def _values_of(exams: tuple[Examination, Examination], names: tuple[str, str]) -> Comparison:
