@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.checks.axes import turnings
@@ -53,17 +52,13 @@ def unit_of_force(path: Path, probe: Probe, axes: Axes) -> Unit:
     """Return the unit of acceleration. Raises TraceError without gravity."""
     if axes.unit is not None:
         return Unit(_known(path, axes))
-    norms = probe.norms(axes)
-    unit, per_g = _gravity_unit(norms), _counts_per_g(probe, axes)
-    if unit is None and per_g is not None:
-        return Unit("counts", f", {per_g:g} in g (by the size of gravity)", per_g / STANDARD)
+    unit = _by_gravity(probe, axes)
     if unit is not None and not probe.keeps_its_direction(axes):
         what = f"{axes.listed()} swing about zero: gravity was taken out"
         raise TraceError(path, what, "give the accelerometer with gravity")
     if unit is not None:
-        whole = unit == "mg" and probe.whole_numbers(axes)
-        counts = "; whole numbers: if they are raw counts, say the value of one in a column map"
-        return Unit(unit, f" (by the size of gravity{counts if whole else ''})")
+        return unit
+    norms = probe.norms(axes)
     typical = float(np.median(norms)) if norms.size else 0.0
     what = f"{axes.listed()} are about {typical:.4g} in size, which is gravity in no unit"
     remedy = "give the accelerometer with gravity; of raw counts say the value of one in a column map"
@@ -95,17 +90,21 @@ def measures_gravity(table: Table, axes: Axes) -> bool:
 
 def is_gravity(probe: Probe, axes: Axes) -> bool:
     """Whether columns have the size of gravity in a unit, or in a known chip's counts."""
-    return _gravity_unit(probe.norms(axes)) is not None or _counts_per_g(probe, axes) is not None
+    return _by_gravity(probe, axes) is not None
 
 
-def _counts_per_g(probe: Probe, axes: Axes) -> float | None:
-    return counts_per_g(probe.norms(axes)) if probe.whole_numbers(axes) else None
-
-
-def _gravity_unit(norms: Array) -> str | None:
-    """Return the unit in which sizes (n,) are gravity's, None where they are in none."""
+def _by_gravity(probe: Probe, axes: Axes) -> Unit | None:
+    """Return the unit, or a known chip's counts, in which columns have the size of gravity; None for none."""
+    norms, whole = probe.norms(axes), probe.whole_numbers(axes)
     typical = float(np.median(norms)) if norms.size else 0.0
-    return next((unit for unit, (low, high) in _GRAVITY_IN.items() if low < typical < high), None)
+    for unit, (low, high) in _GRAVITY_IN.items():
+        if low < typical < high:
+            counts = "; whole numbers: if they are raw counts, say the value of one in a column map"
+            return Unit(unit, f" (by the size of gravity{counts if unit == 'mg' and whole else ''})")
+    per_g = counts_per_g(norms) if whole else None
+    if per_g is None:
+        return None
+    return Unit("counts", f", {per_g:g} in g (by the size of gravity)", per_g / STANDARD)
 
 
 def unit_of_rates(parts: Sequence[Part], axes: Axes, force: Unit) -> Unit | None:
