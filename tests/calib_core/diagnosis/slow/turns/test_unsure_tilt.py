@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.diagnosis.judged import examined
+from stillcal.replay.formats.trace import Recording
 from tests.support.report_days import phone_with, recorded
 
 TURNS = 20
@@ -102,6 +103,18 @@ def test_a_nameless_gain_tilts_by_what_it_adds_at_rest() -> None:
     assert expected > 1e-4 and unsure_tilt([told], STANDARD, LASTS) == pytest.approx(expected)
 
 
+def assert_only_larger_turns_are_stated(
+    recording: Recording, sensor: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Turns show a small and a large effect, and the sensor one without a name: the large one counts."""
+    smaller, larger = of_turns(1e-3), of_turns(0.5)
+    monkeypatch.setattr(diagnose, "about_effects", lambda *_: [smaller, larger])
+    exam = examined(recording)
+    assert ("unknown", sensor) in {(s.finding.effect, s.finding.sensor) for s in exam.statements}
+    (stated,) = [s for s in exam.statements if s.finding.effect == SCALE.name]
+    assert stated.hypothesis is larger.hypothesis
+
+
 @pytest.mark.slow
 def test_a_recording_whose_accelerometer_bends_with_temperature_states_no_smaller_turns(
     monkeypatch: pytest.MonkeyPatch,
@@ -111,12 +124,8 @@ def test_a_recording_whose_accelerometer_bends_with_temperature_states_no_smalle
     assert accel.temperature is not None
     warm = accel.temperature - accel.temperature.min()
     bent = np.outer(1.0 - np.exp(-6.0 * warm / warm.max()), [0.024, -0.048, 0.08])
-    smaller, larger = of_turns(1e-3), of_turns(0.5)
-    monkeypatch.setattr(diagnose, "about_effects", lambda *_: [smaller, larger])
-    exam = examined(replace(recording, accelerometer=replace(accel, xyz=frozen(accel.xyz + bent))))
-    assert ("unknown", "accel") in {(s.finding.effect, s.finding.sensor) for s in exam.statements}
-    (stated,) = [s for s in exam.statements if s.finding.effect == SCALE.name]
-    assert stated.hypothesis is larger.hypothesis
+    bending = replace(recording, accelerometer=replace(accel, xyz=frozen(accel.xyz + bent)))
+    assert_only_larger_turns_are_stated(bending, "accel", monkeypatch)
 
 
 @pytest.mark.slow
@@ -128,9 +137,5 @@ def test_a_gyroscope_whose_bias_comes_and_goes_states_no_smaller_turns(
     gyro = recording.gyroscope
     assert gyro is not None
     lit = np.outer(gyro.t % 70.0 < 12.0, [1e-3, 0.0, 2e-3])
-    smaller, larger = of_turns(1e-3), of_turns(0.5)
-    monkeypatch.setattr(diagnose, "about_effects", lambda *_: [smaller, larger])
-    exam = examined(replace(recording, gyroscope=replace(gyro, xyz=frozen(gyro.xyz + lit))))
-    assert ("unknown", "gyro") in {(s.finding.effect, s.finding.sensor) for s in exam.statements}
-    (stated,) = [s for s in exam.statements if s.finding.effect == SCALE.name]
-    assert stated.hypothesis is larger.hypothesis
+    flickering = replace(recording, gyroscope=replace(gyro, xyz=frozen(gyro.xyz + lit)))
+    assert_only_larger_turns_are_stated(flickering, "gyro", monkeypatch)
