@@ -86,6 +86,7 @@ class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     columns name the log's columns that are x, y, z (an axis swap is another order); signs turn axes
     round. unit "counts" needs counts_per_unit (counts in one m/s^2 or rad/s); zero is taken off first.
+    gravity: columns of the same unit that are added, where a log keeps gravity apart from the rest.
     optional: the columns may be missing. other_file: [[part, replacement], ...] of the file's name that
     lead to the sensor's own file. refuse: {file stem: [why, remedy]} of files that cannot serve.
     """
@@ -95,6 +96,7 @@ class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     signs: tuple[Sign, Sign, Sign] = (1, 1, 1)
     counts_per_unit: Positive | None = None
     zero: float = 0.0
+    gravity: tuple[Column, Column, Column] | None = None
     optional: bool = False
     other_file: tuple[tuple[str, str], ...] = ()
     refuse: dict[str, tuple[str, str]] = {}
@@ -102,6 +104,13 @@ class SensorMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def __post_init__(self) -> None:
         if (self.unit == "counts") != (self.counts_per_unit is not None):
             raise ValueError("counts_per_unit goes with unit 'counts', and only with it")
+        if self.gravity is not None and self.unit not in _FORCE_UNITS:
+            raise ValueError(f"gravity is added to an acceleration in {', '.join(_FORCE_UNITS)} only")
+
+    @property
+    def read(self) -> tuple[Column, ...]:
+        """All columns that the sensor is read from."""
+        return (*self.columns, *(self.gravity or ()))
 
     @property
     def si_per_unit(self) -> float:
@@ -178,7 +187,7 @@ class ColumnMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         thermometer = self.temperature.column if self.temperature else None
         single = [self.time.column, self.time.fraction, self.time.arrival, thermometer]
         chosen = self.select.columns if self.select else ()
-        return [*(c for s in sensors for c in s.columns), *(c for c in single if c is not None), *chosen]
+        return [*(c for s in sensors for c in s.read), *(c for c in single if c is not None), *chosen]
 
 
 def builtin_formats() -> list[str]:

@@ -195,12 +195,12 @@ class SampleFile:
             raise TraceError(self.path, what, remedy, int(lines[row]))
 
     def _only_whole_samples_empty(self, values: Array) -> bool:
-        """Whether of the cells that must have a number only all three of a sensor are empty, in any row."""
+        """Whether of the cells that must have a number only all of a sensor are empty, in any row."""
         empty = values == EMPTY
         if empty[:, self._clock_columns()].any():
             return False
         by_sensor = [empty[:, axes].T for axes in self._layout.axes.values()]
-        return all(np.array_equal(x, y) and np.array_equal(y, z) for x, y, z in by_sensor)
+        return all(np.array_equal(x, other) for x, *others in by_sensor for other in others)
 
     def _clock_columns(self) -> list[int]:
         return [p for p in (self._layout.time, self._layout.fraction) if p is not None]
@@ -239,11 +239,11 @@ class SampleFile:
                 self._without_cells += len(rows) - there.size
                 columns = [None if column is None else column.take(there) for column in columns]
                 lines = lines[there]
-            t, x, y, z, *others = columns
-            xyz = self._si(sensor, np.stack((x, y, z), axis=1))
-            samples = Samples(
-                sensor, frozen(t), frozen(xyz), *(None if c is None else frozen(c) for c in others)
-            )
+            t, *read, temperatures, arrivals = columns
+            xyz = np.stack(read[:3], axis=1)
+            xyz = self._si(sensor, xyz + np.stack(read[3:], axis=1) if read[3:] else xyz)
+            others = (None if c is None else frozen(c) for c in (temperatures, arrivals))
+            samples = Samples(sensor, frozen(t), frozen(xyz), *others)
             self._check_limits(samples, lines)
             run[sensor] = samples
         return run

@@ -159,7 +159,7 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
     free = without_gravity(own.table.names or [])
     if free:
         what = f"holds no acceleration with gravity, only {', '.join(free[:3])}"
-        remedy = "record the raw accelerometer; where gravity has columns of its own, add them to these"
+        remedy = "record the raw accelerometer, or gravity in columns of its own beside these"
         raise TraceError(source.path, what, remedy)
     if rates_alone(own.table.names or []):
         raise GyroscopeAloneError(source.path)

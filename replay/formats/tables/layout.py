@@ -15,7 +15,10 @@ MAP_REMEDY = "rename the columns, or describe them in a column map given as --fo
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What to read of a table: `wanted`, places in the file's rows; all others are places in `wanted`."""
+    """What to read of a table: `wanted`, places in the file's rows; all others are places in `wanted`.
+
+    axes: three of each sensor, and three of gravity behind them where the log keeps it apart.
+    """
 
     wanted: list[int]
     time: int | None
@@ -45,19 +48,19 @@ def lay_out(table: Table, column_map: ColumnMap, sensors: Sequence[Sensor]) -> L
     axes: dict[Sensor, slice] = {}
     for sensor in sensors:
         sensor_map = column_map.sensor(sensor)
-        places = find_columns(sensor_map.columns, table.names, table.width)
+        places = find_columns(sensor_map.read, table.names, table.width)
         if places is not None:
-            axes[sensor] = slice(len(places_to_read), len(places_to_read) + 3)
+            axes[sensor] = slice(len(places_to_read), len(places_to_read) + len(places))
             places_to_read.extend(places)
         elif len(sensors) == 1 or not _may_be_missing(table, column_map, sensor):
-            raise missing(table, sensor_map.columns)
+            raise missing(table, sensor_map.read)
     return Layout(places_to_read, time, fraction, arrival, temperature, axes)
 
 
 def _may_be_missing(table: Table, column_map: ColumnMap, sensor: Sensor) -> bool:
-    """Whether a sensor may be absent: it is optional and none of its three columns is there."""
+    """Whether a sensor may be absent: it is optional and none of its columns is there."""
     sensor_map = column_map.sensor(sensor)
-    some = any(find_columns([column], table.names, table.width) for column in sensor_map.columns)
+    some = any(find_columns([column], table.names, table.width) for column in sensor_map.read)
     return sensor_map.optional and not some
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -117,13 +118,38 @@ def test_acceleration_that_swings_about_zero_is_without_gravity(tmp_path: Path) 
 
 def test_columns_without_gravity_are_named(tmp_path: Path) -> None:
     path = tmp_path / "r.csv"
-    path.write_text(
-        "time_s,gravity_x,gravity_y,gravity_z,user_acc_x,user_acc_y,user_acc_z,gyr_x,gyr_y,gyr_z\n"
-    )
+    path.write_text("time_s,gravity_x,gravity_y,user_acc_x,user_acc_y,user_acc_z,gyr_x,gyr_y,gyr_z\n")
     with path.open("a") as file:
-        file.writelines(f"{t:.2f},0,0,-1,0.1,0,0,0.1,0.2,0.3\n" for t in SECONDS)
-    with pytest.raises(TraceError, match=r"no acceleration with gravity, only user_acc_x.*add them to these"):
+        file.writelines(f"{t:.2f},0,0,0.1,0,0,0.1,0.2,0.3\n" for t in SECONDS)
+    with pytest.raises(
+        TraceError, match=r"no acceleration with gravity, only user_acc_x.*gravity in columns"
+    ):
         read_all(path)
+
+
+@pytest.mark.parametrize(
+    ("free", "gravity", "unit"),
+    [
+        ("userAcceleration.x", "gravity.x", -9.80665),
+        ("motionUserAccelerationX(G)", "motionGravityX(G)", -9.80665),
+        ("user_acc_x(G)", "gravity_x(G)", -9.80665),
+        ("linear_acceleration_x_m_s2", "gravity_x_m_s2", 1.0),
+    ],
+)
+def test_gravity_in_columns_of_its_own_is_added(tmp_path: Path, free: str, gravity: str, unit: float) -> None:
+    """Core Motion, as MotionSense, SensorLog and OxIOD have it, in g with its sign; Android's in m/s^2."""
+    motion = np.column_stack([np.sin(SECONDS * k) for k in (1.0, 2.0, 3.0)])
+    down = np.full((SECONDS.size, 3), [0.0, 0.6, 0.8]) * 9.80665
+    columns = {"time_s": texts(SECONDS)}
+    for name, values in ((gravity, down), (free, motion)):
+        for axis in range(3):
+            named = re.sub("[xX](?=$|[(]|_m)", lambda x, i=axis: chr(ord(x[0]) + i), name)
+            columns[named] = texts(values[:, axis] / unit)
+    path = tmp_path / "r.csv"
+    path.write_text("\n".join(map(",".join, [list(columns), *zip(*columns.values(), strict=True)])))
+    recording = read_all(path)
+    np.testing.assert_allclose(recording.accelerometer.xyz, motion + down, atol=1e-6)
+    assert "added in" in " ".join(recording.notes)
 
 
 def test_what_has_no_noise_is_no_gyroscope(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from typing import Literal
 
 from stillcal.calib_core.streams.samples import Sensor
 from stillcal.replay.formats.columns import Column
@@ -27,13 +28,16 @@ from stillcal.replay.formats.recognition.names.vocabulary import (
     ATTITUDE,
     BODY_RATES,
     FILLERS,
+    GRAVITY,
     NO_AXES,
+    OF_CORE_MOTION,
     RATE,
     RAW,
     ROTATION,
     TURNS,
     VAGUE,
     VECTOR,
+    WITHOUT_GRAVITY,
 )
 from stillcal.replay.formats.recognition.names.words import cut
 
@@ -50,7 +54,8 @@ class Axes:
     """Three columns of one sensor. label: what else the names say; unit: None where they do not.
 
     unit is none of KNOWN_UNITS where they say one that is not known.
-    quantity: the words for what it measures.
+    quantity: the words for what it measures. gravity: columns of gravity that are to be added, where the log
+    keeps it apart; sign: -1 where it gives minus the specific force.
     """
 
     sensor: Sensor
@@ -58,10 +63,14 @@ class Axes:
     columns: tuple[Column, Column, Column]
     unit: str | None
     quantity: str = ""
+    gravity: tuple[Column, Column, Column] | None = None
+    sign: Literal[-1, 1] = 1
 
     def listed(self) -> str:
         """Return the names of its columns, one after the other."""
-        return " ".join(map(str, self.columns))
+        return " ".join(map(str, self.columns)) + (
+            f" with {' '.join(map(str, self.gravity))} added" if self.gravity else ""
+        )
 
     def called(self, words: Set[str]) -> bool:
         """Whether one of `words` is among those for what it measures."""
@@ -94,8 +103,46 @@ def find_axes(names: Sequence[str]) -> list[Axes]:
         if len(columns) == 3
     ]
     plain = {(a.sensor, a.label) for a in axes if not a.called(VAGUE)}
-    certain = (a for a in axes if not a.called(VAGUE) or (a.sensor, a.label) not in plain)
+    certain = [a for a in axes if not a.called(VAGUE) or (a.sensor, a.label) not in plain]
+    free = [a for a in certain if a.sensor is Sensor.ACCELEROMETER and a.called(WITHOUT_GRAVITY)]
+    if all(a.sensor is Sensor.GYROSCOPE or a in free for a in certain):
+        whole = _with_gravity_apart(names)
+        certain = [a for a in certain if a.columns not in {w.columns for w in whole}] + whole
     return sorted(certain, key=lambda a: not a.called(RAW))
+
+
+def _with_gravity_apart(names: Sequence[str]) -> list[Axes]:
+    """Return the accelerometers whose gravity has columns of its own, beside those of what is left.
+
+    Their sum is what the accelerometer read (Apple, CMDeviceMotion; Android, TYPE_LINEAR_ACCELERATION).
+    """
+    kinds: dict[tuple[bool, str, str | None], dict[int, str]] = {}
+    of_apple = set()
+    for name in names:
+        bracket, words = cut(name)
+        unit, _ = unit_in_brackets(name, bracket)
+        axis, words = split_axis(bracket, words)
+        stated, words = unit_at_end(words)
+        said = set(words)
+        gravity, free = bool(said & GRAVITY), bool(said & WITHOUT_GRAVITY and said & ACCELERATION)
+        if axis is None or gravity == free:
+            continue
+        label = "_".join(w for w in words if w not in GRAVITY | WITHOUT_GRAVITY | ACCELERATION)
+        kinds.setdefault((gravity, label, unit or stated), {})[axis] = name
+        of_apple |= {label} if said & OF_CORE_MOTION else set()
+    whole = {key: (c[0], c[1], c[2]) for key, c in kinds.items() if len(c) == 3}
+    return [
+        Axes(
+            Sensor.ACCELEROMETER,
+            label,
+            columns,
+            unit,
+            gravity=whole[True, label, unit],
+            sign=-1 if label in of_apple else 1,
+        )
+        for (gravity, label, unit), columns in whole.items()
+        if not gravity and (True, label, unit) in whole
+    ]
 
 
 def axis_of(name: str) -> _Word | None:

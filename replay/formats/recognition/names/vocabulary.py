@@ -60,6 +60,12 @@ SENSOR_WORDS = {Sensor.ACCELEROMETER: ACCELERATION - VAGUE, Sensor.GYROSCOPE: RA
 WITHOUT_GRAVITY = _of("free user linear")
 """Words for acceleration from which gravity was taken."""
 
+GRAVITY = _of("gravity grav")
+"""Words for columns of gravity alone, which added to acceleration without it is what the sensor reads."""
+
+OF_CORE_MOTION = _of("user")
+"""Words by which Core Motion calls acceleration without gravity: it has minus the specific force."""
+
 ROTATION = _of("rotation rot")
 VECTOR = _of("vector vec")
 """Words that make a rotation an attitude: Android's rotation vector is a part of a quaternion."""
@@ -78,7 +84,7 @@ OF_MESSAGE = "header"
 LATE = _of("offset")
 """Words of times that count from another one: they serve where there is no other."""
 
-ARRIVAL = _of("arrival utc received host log unix")
+ARRIVAL = _of("arrival utc received host log logging unix")
 THERMOMETER = _of("temp temperature celsius degc degf temperatur temperatura temperatuur")
 RATES_HZ = _of("fs hz samplingrate samplerate ratehz samplingfrequency samplefrequency freq")
 

@@ -44,13 +44,18 @@ class Probe:
     def norms(self, axes: Axes) -> Array:
         """Return the sizes of the first vectors, (n,)."""
         with np.errstate(over="ignore"):  # a damaged file holds numbers of any size
-            norms: Array = np.linalg.norm(self._columns(axes.columns), axis=1)
+            norms: Array = np.linalg.norm(self._vectors(axes), axis=1)
         return norms[np.isfinite(norms)]
 
     def whole_numbers(self, axes: Axes) -> bool:
         """Whether all first values of a sensor are whole numbers."""
-        values = self._columns(axes.columns)
+        values = self._vectors(axes)
         return not (values[np.isfinite(values)] % 1).any()
+
+    def _vectors(self, axes: Axes) -> Array:
+        """Return a sensor's first vectors, (n, 3), with gravity added where it has columns of its own."""
+        values = self._columns(axes.columns)
+        return values if axes.gravity is None else values + self._columns(axes.gravity)
 
     def _columns(self, names: Sequence[Column]) -> Array:
         places = find_columns(list(names), self._table.names, self._table.width) or []
@@ -60,11 +65,11 @@ class Probe:
 
     def all_change(self, axes: Axes) -> bool:
         """Whether none of a sensor's first values is the same throughout."""
-        return bool((np.ptp(self._columns(axes.columns), axis=0) > 0).all())
+        return bool((np.ptp(self._vectors(axes), axis=0) > 0).all())
 
     def keeps_its_direction(self, axes: Axes) -> bool:
         """Whether vectors agree over some rows, as those do that hold gravity: motion alone swings back."""
-        vectors = self._columns(axes.columns)
+        vectors = self._vectors(axes)
         vectors = vectors[np.isfinite(vectors).all(axis=1)]
         count = len(vectors) // _ROWS_TOGETHER
         if not count:

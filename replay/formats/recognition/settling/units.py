@@ -45,7 +45,13 @@ class Unit:
 
     def of(self, axes: Axes) -> SensorMap:
         """Return how the columns of a sensor are read."""
-        return SensorMap(columns=axes.columns, unit=self.name, counts_per_unit=self.counts_per_unit)
+        return SensorMap(
+            columns=axes.columns,
+            unit=self.name,
+            signs=(axes.sign, axes.sign, axes.sign),
+            counts_per_unit=self.counts_per_unit,
+            gravity=axes.gravity,
+        )
 
 
 def unit_of_force(path: Path, probe: Probe, axes: Axes) -> Unit:
