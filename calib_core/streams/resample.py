@@ -31,14 +31,17 @@ def interpolate(t: Array, known: Array, values: Array) -> Array:
     return np.stack([np.interp(t, known, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def read_later(samples: Samples, delay: float | Array) -> Samples:
+def read_later(samples: Samples, delay: float | Array, t: Array | None = None) -> Samples:
     """Return samples that read at the same times what was true `delay` s earlier; (3,) for each axis its own.
+
+    t: the times (n,) s, if not their own; without temperature and times of arrival then.
 
     By a cubic spline: a straight line between two samples would take 1 % off a step's fifth overtone.
     """
-    by_axis = [read_at(samples, samples.t - late).xyz for late in np.ravel(delay)]
+    at = samples.t if t is None else t
+    by_axis = [read_at(samples, at - late).xyz for late in np.ravel(delay)]
     xyz = by_axis[0] if len(by_axis) == 1 else np.stack([x[:, a] for a, x in enumerate(by_axis)], axis=1)
-    return replace(samples, xyz=frozen(xyz))
+    return replace(samples, xyz=frozen(xyz)) if t is None else Samples(samples.sensor, frozen(t), frozen(xyz))
 
 
 def read_at(samples: Samples, t: Array) -> Samples:

@@ -1,4 +1,4 @@
-"""Two recordings of one motion, each with the limits, low-passes and held samples of both."""
+"""Two recordings of one motion, each with the limits and low-passes of both, without held samples."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.pair.readings import shared_streams
-from stillcal.replay.diagnosis.sample_changes import clipped, held_at, low_passed
+from stillcal.replay.diagnosis.sample_changes import clipped, low_passed
 from stillcal.replay.formats.trace import Recording
 
 NYQUIST = 0.49
@@ -25,7 +25,7 @@ NYQUIST = 0.49
 def as_both(
     both: tuple[Recording, Recording], exams: Sequence[Examination], low_passes: Sequence[Difference]
 ) -> tuple[Recording, Recording, float]:
-    """Return both with limits, low-passes and held samples of both, so that the rest can be judged.
+    """Return both with limits and low-passes of both, without held samples, so that the rest can be judged.
 
     low_passes: those that differ. The third is the standard error, s, of what these delay.
     """
@@ -34,7 +34,7 @@ def as_both(
     other = _filtered(_limited(both[1], limits), [d.recorded for d in low_passes])
     rate = 1.0 / sample_period(both[0].accelerometer.t)
     unsure = [unsure_delay(q, rate) for d in low_passes for q in (d.recorded, d.simulated) if not q.none]
-    return *held_alike(own, other), max(unsure, default=0.0)
+    return *without_held_rows(own, other), max(unsure, default=0.0)
 
 
 def unsure_delay(low_pass: Quantity, rate: float) -> float:
@@ -83,11 +83,13 @@ def _limited(recording: Recording, limits: Mapping[str, float]) -> Recording:
     return recording
 
 
-def held_alike(recording: Recording, simulation: Recording) -> tuple[Recording, Recording]:
-    """Return both with the samples held that either holds: such a one reads the motion of a moment before."""
+def without_held_rows(recording: Recording, simulation: Recording) -> tuple[Recording, Recording]:
+    """Return both without the samples that they hold: such a one reads the motion of a moment before.
+
+    The recording lacks those that the simulation holds as well.
+    """
     for sensor, own, other in shared_streams(recording, simulation):
-        again = held_rows(own) | held_rows(other)
-        recording, simulation = (
-            _changed(one, sensor, partial(held_at, again=again)) for one in (recording, simulation)
-        )
+        held = held_rows(own), held_rows(other)
+        recording = _changed(recording, sensor, partial(Samples.where, kept=~(held[0] | held[1])))
+        simulation = _changed(simulation, sensor, partial(Samples.where, kept=~held[1]))
     return recording, simulation

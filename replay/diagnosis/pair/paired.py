@@ -36,10 +36,9 @@ from stillcal.replay.diagnosis.judged import (
     refuse_short,
     silent,
 )
-from stillcal.replay.diagnosis.pair.as_both import as_both, held_alike
+from stillcal.replay.diagnosis.pair.as_both import as_both, without_held_rows
 from stillcal.replay.diagnosis.pair.readings import (
     less,
-    mean_readings,
     readings_of,
     refuse_itself,
     refuse_other_motion,
@@ -100,7 +99,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     own, other, unsure = as_both((recording, simulation), pair.exams, low_passes)
     refuse_shifted(own, other)
     known = pair.known(unsure)
-    motion = align(readings_of(own), mean_readings(own, [other]), known)
+    motion = align(readings_of(own), readings_of(other), known)
     true = motion.readings
     apart, charging = less(own, true), charging_events(recording)
     bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=known.rounding)
@@ -130,8 +129,8 @@ def _corrected(
     in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
     played = [*pair.values.discrepancies, *in_motion]
     made = correct(pair.simulation, played, {})
-    own, other = held_alike(pair.recording, made.recording)
-    left = align(readings_of(own), mean_readings(own, [other]), known)
+    own, other = without_held_rows(pair.recording, made.recording)
+    left = align(readings_of(own), readings_of(other), known)
     after = without_found(exam, slow, left.found, left)
     measured = examined(made.recording, silent, sought=())
     measured = with_own_values(measured, simulated, of_other_values(played, made))

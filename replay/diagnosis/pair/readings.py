@@ -70,7 +70,7 @@ def refuse_shifted(recording: Recording, simulation: Recording) -> None:
 
     Low-passes that were found are on both: what these delay is not counted.
     """
-    own, other = readings_of(recording), readings_of(simulation)
+    own, other = readings_of(recording), mean_readings(recording, [simulation])
     found = [late(own.force, other.force, "accel")]
     if own.rate is not None and other.rate is not None:
         found.append(late(own.rate, other.rate, "gyro"))

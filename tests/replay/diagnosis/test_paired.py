@@ -33,6 +33,8 @@ from tests.support.diagnosis.turned_pairs import low_passed, turned
 RATE, LENGTH = 20.0, 320.0
 SLOPE = np.array([4e-4, 0.0, -2e-4])
 """Of the gyroscope's bias, rad/s/K."""
+DELAY = 0.04
+"""s"""
 
 
 def motion(t: Array) -> tuple[Array, Array]:
@@ -108,6 +110,20 @@ def test_samples_that_one_of_the_two_holds_leave_nothing_that_follows_motion() -
     said = judge_paired(held, turned(2)).answer
     assert {(f["effect"], f["relation"]) for f in said["findings"]} == {("held_samples", "lacking")}
     assert said["verdict"] == "identified" and said["fit"]["p_after"] > 0.01
+
+
+def test_a_delay_is_right_where_one_of_the_two_holds_samples() -> None:
+    """What is held has no rate of change, by which a delay is known: of 40 ms it made 36, and 3e-37."""
+    real = turned(1)
+    assert real.gyroscope is not None
+    again = np.random.default_rng(3).random(len(real.gyroscope)) < 0.2
+    late = replace(real, gyroscope=held_at(read_later(real.gyroscope, DELAY), again))
+    said = judge_paired(late, turned(2)).answer
+    found = {(f["effect"], f["sensor"]): f for f in said["findings"]}
+    assert set(found) == {("accel_gyro_time_offset", "timing"), ("held_samples", "gyro")}
+    delay = found["accel_gyro_time_offset", "timing"]["difference"]["delay"]
+    assert delay["value"] == pytest.approx(DELAY, abs=np.ptp(delay["ci95"]))
+    assert said["fit"]["p_after"] > 0.01
 
 
 @pytest.mark.slow

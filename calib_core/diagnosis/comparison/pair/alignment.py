@@ -29,7 +29,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_samples
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.slow.statement import Stated
-from stillcal.calib_core.streams.resample import temperature_at
+from stillcal.calib_core.streams.resample import read_at, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 IN_STEPS = "motion shows it, by no more than coarse steps make, which it dithers and a rest does not"
@@ -75,12 +75,18 @@ class Alignment:
 
 
 def align(own: Readings, other: Readings, known: KnownBefore | None = None) -> Alignment:
-    """Put into what the other sensor reads what the one shows besides in motion."""
+    """Put into what the other sensor reads what the one shows besides in motion.
+
+    other: at the recording's stamps, and between them where the recording lacks samples.
+    """
     known = known or KnownBefore()
-    force, rate = late(own.force, other.force, "accel"), None
+    true = Readings(_at_stamps_of(own.force, other.force), None)
+    force, rate = late(own.force, true.force, "accel"), None
+    true = replace(true, force=aligned(true.force, force, other.force))
     if own.rate is not None and other.rate is not None:
-        rate = late(own.rate, other.rate, "gyro")
-    true = Readings(aligned(other.force, force), other.rate and aligned(other.rate, rate))
+        same = _at_stamps_of(own.rate, other.rate)
+        rate = late(own.rate, same, "gyro")
+        true = replace(true, rate=aligned(same, rate, other.rate))
     none = Readings(_nothing(true.force), true.rate and _nothing(true.rate))
     whole = Alignment(true, none, [], [], frozenset())
     if force is not None and rate is not None:
@@ -96,6 +102,11 @@ def align(own: Readings, other: Readings, known: KnownBefore | None = None) -> A
     if rate is not None and own.rate is not None:
         whole = _with_effects(whole, own.rate, true, rate, known)
     return whole
+
+
+def _at_stamps_of(own: Samples, other: Samples) -> Samples:
+    """Return what the other reads at the recording's stamps, with the recording's temperature."""
+    return replace(own, xyz=read_at(other, own.t).xyz)
 
 
 def _nothing(samples: Samples) -> Samples:

@@ -192,9 +192,14 @@ def linear_in_motion(
     return Regression.of(designs, lefts)
 
 
-def aligned(true: Samples, found: Late | None) -> Samples:
-    """Return what the other reads, as late as the recording reads it where that is sure."""
-    return true if found is None or not found.by_axis.any() else read_later(true, found.by_axis)
+def aligned(true: Samples, found: Late | None, whole: Samples | None = None) -> Samples:
+    """Return what the other reads, as late as the recording reads it where that is sure.
+
+    whole: all of its samples, where `true` lacks some: across a gap of those no spline tells what was read.
+    """
+    if found is None or not found.by_axis.any():
+        return true
+    return replace(true, xyz=read_later(whole or true, found.by_axis, true.t).xyz)
 
 
 def delay_between(force: Late, rate: Late, unsure: float = 0.0) -> Measured:
