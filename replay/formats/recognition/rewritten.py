@@ -168,17 +168,18 @@ def _without_marks(delimiter: str, mark: re.Pattern[str], grouped: re.Pattern[st
 def _labelled(line: str) -> tuple[list[str], list[str]] | None:
     """Return the names and the numbers of a line that labels each of its numbers, None of another line.
 
-    A unit behind a number belongs to its name. Numbers and dates before the first name are times.
+    A unit behind a number belongs to its name; where one word stands between two numbers, it is the name of
+    the second. Numbers and dates before the first name are times.
     """
     parts = _LABELLED.split(line)
     labels, numbers = parts[0::2], parts[1::2]
     if len(numbers) < _FEWEST:
         return None
-    words = [list(filter(None, _BETWEEN.split(label))) for label in labels]
+    words = [[word.removesuffix(":") for word in _BETWEEN.split(label) if word] for label in labels]
     before = [word for word in words[0] if is_date(word.encode()) or is_number(word.encode())]
     names = [" ".join(words[0][len(before) :])]
-    for between in words[1:]:
-        unit = between.pop(0) if between and is_unit(between[0]) else None
+    for place, between in enumerate(words[1:], 1):
+        unit = between.pop(0) if len(between) > (place < len(numbers)) and is_unit(between[0]) else None
         names[-1] += f" [{unit}]" if unit else ""
         names.append(" ".join(between))
     if names.pop() or not all(names):

@@ -15,7 +15,7 @@ from stillcal.replay.formats.columns import ColumnMap
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, LoggedSensor
 from stillcal.replay.formats.recognition.names.axes import find_axes
-from stillcal.replay.formats.recognition.names.containers import qualified
+from stillcal.replay.formats.recognition.names.containers import name_sensors, qualified
 from stillcal.replay.formats.recognition.names.kinds import rates_alone
 from stillcal.replay.formats.recognition.names.words import spaced, split_words
 from stillcal.replay.formats.recognition.settle import OneSensor, settled_apart
@@ -100,7 +100,7 @@ def _naming(table: TableWithTexts) -> tuple[int | None, dict[str, str]]:
         if _is_value(cell):
             continue
         texts = [text for text in table.texts(place) or [] if text != names[place]]  # of a repeated header
-        if any(find_axes(qualified(names, spaced(text))) for text in texts):
+        if name_sensors(texts, names):
             return place, {text: text for text in texts}
     return _naming_by_types(table, names)
 

@@ -20,7 +20,12 @@ from stillcal.replay.formats.recognition import magic
 from stillcal.replay.formats.recognition.by_map import by_map
 from stillcal.replay.formats.recognition.log import GyroscopeAloneError, Log, LoggedSensor
 from stillcal.replay.formats.recognition.names.axes import find_axes
-from stillcal.replay.formats.recognition.names.containers import called_otherwise, named_after, qualified
+from stillcal.replay.formats.recognition.names.containers import (
+    bare_axes,
+    called_otherwise,
+    named_after,
+    qualified,
+)
 from stillcal.replay.formats.recognition.names.kinds import is_own, rates_alone, without_gravity
 from stillcal.replay.formats.recognition.names.vocabulary import OWN
 from stillcal.replay.formats.recognition.pairs import rates_file
@@ -163,8 +168,7 @@ def _log_by_names(source: Source, own: OneSensor, kind: str, gyro: Source | None
         raise TraceError(source.path, what, remedy)
     if rates_alone(own.table.names or []):
         raise GyroscopeAloneError(source.path)
-    bare = {"x", "y", "z"} <= {name.strip().lower() for name in own.table.names or []}
-    if bare and called_otherwise(_container(source), "accelerometer"):
+    if len(bare_axes(own.table.names or [])) == 3 and called_otherwise(_container(source), "accelerometer"):
         what = "is called after another quantity than acceleration, and nothing else says what x, y, z are"
         raise TraceError(source.path, what, "give the accelerometer's file")
     return None

@@ -13,7 +13,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.recognition.names.axes import find_axes
-from stillcal.replay.formats.recognition.names.containers import qualified
+from stillcal.replay.formats.recognition.names.containers import name_sensors, qualified
 from stillcal.replay.formats.recognition.names.words import spaced
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
@@ -59,6 +59,8 @@ def names_of_rows(rows: Sequence[Sequence[str]]) -> list[str] | None:
     for row in rows:
         for place, text in enumerate(row):
             if is_number(text.strip().encode()) or not find_axes(qualified(_AXES, spaced(text))):
+                continue
+            if not name_sensors({other[place] for other in rows if len(other) > place}):
                 continue
             own = [other for other in rows if len(other) == len(row) and other[place] == text]
             found = places_of(own)

@@ -41,6 +41,8 @@ def assert_read(recording: Recording) -> None:
         ("p_dps,q_dps,r_dps", DEGREES),
         ("gyro_x [mrad/s],gyro_y [mrad/s],gyro_z [mrad/s]", 1000.0),
         ("Gyro X (deg/sec),Gyro Y (deg/sec),Gyro Z (deg/sec)", DEGREES),
+        ("Gyro-X (d/s),Gyro-Y (d/s),Gyro-Z (d/s)", DEGREES),
+        ("GyX,GyY,GyZ", DEGREES),
     ],
 )
 @pytest.mark.parametrize("force", ["ax,ay,az", "acc_x,acc_y,acc_z"])
@@ -57,6 +59,25 @@ def test_sensors_that_are_numbered_in_brackets_are_several(tmp_path: Path, form:
     recording = read(tmp_path, header, DATA[:, 0], FORCE, 1.01 * FORCE)
     np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-9)
     assert "has 2 sensors" in recording.notes[0]
+
+
+def test_a_sketchs_short_names_are_both_sensors_and_the_thermometer(tmp_path: Path) -> None:
+    header = "millis,AcX,AcY,AcZ,Tmp,GyX,GyY,GyZ"
+    warm = np.full(len(DATA), 25.0)
+    recording = read(tmp_path, header, 1e3 * DATA[:, 0], FORCE, warm, RATE)
+    assert_read(recording)
+    np.testing.assert_allclose(recording.accelerometer.temperature, 25.0)
+
+
+@pytest.mark.parametrize(
+    "axes",
+    ["x-axis,y-axis,z-axis", "X Axis,Y Axis,Z Axis", "axis_x,axis_y,axis_z", "X_value,Y_value,Z_value"],
+)
+def test_axes_that_nothing_names_may_be_called_axes_or_values(tmp_path: Path, axes: str) -> None:
+    recording = read(tmp_path, f"timestamp,{axes}", 1e3 * DATA[:, 0], FORCE)
+    np.testing.assert_allclose(recording.accelerometer.xyz, FORCE, rtol=1e-9)
+    with pytest.raises(TraceError, match="no accelerometer found"):
+        read(tmp_path, f"timestamp,{axes}", 1e3 * DATA[:, 0], 3 * FORCE)
 
 
 @pytest.mark.parametrize("angles", ["roll,pitch,yaw", "p,q,s", "roll_rate_sp,pitch_rate_sp,yaw_rate_sp"])

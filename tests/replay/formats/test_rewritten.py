@@ -24,6 +24,10 @@ LABELLED = {
     "units": "time: {t} ms Acc X: {a[0]} m/s^2 Acc Y: {a[1]} m/s^2 Acc Z: {a[2]} m/s^2 "
     "Gyro X: {w[0]} rad/s Gyro Y: {w[1]} rad/s Gyro Z: {w[2]} rad/s",
     "a time before": "{t} ax: {a[0]} ay: {a[1]} az: {a[2]} gx: {w[0]} gy: {w[1]} gz: {w[2]}",
+    "a time before, with a colon": "{t}: |Acc X:{a[0]}, Acc Y:{a[1]}, Acc Z:{a[2]} "
+    "|Gyr X:{w[0]}, Gyr Y:{w[1]}, Gyr Z:{w[2]} |Mag X:0.1, Mag Y:0.2, Mag Z:0.3",
+    "a thermometer between": "t = {t} | AcX = {a[0]} | AcY = {a[1]} | AcZ = {a[2]} | Tmp = 25.1 "
+    "| GyX = {w[0]} | GyY = {w[1]} | GyZ = {w[2]}",
     "a monitor's stamp": "10:00:0{s:.3f} -> ax:{a[0]} ay:{a[1]} az:{a[2]} gx:{w[0]} gy:{w[1]} gz:{w[2]}",
 }
 IN_CELLS = {

@@ -57,6 +57,25 @@ def test_labels_and_columns_in_which_nothing_changes_are_no_axes(tmp_path: Path)
     np.testing.assert_allclose(recording.accelerometer.t, MS / 1000)
 
 
+def test_letters_of_what_a_person_does_name_no_sensor(tmp_path: Path) -> None:
+    rows = zip(MS, FORCE, RATES, strict=True)
+    lines = [joined(",", 1600, "AGB"[i // 20], time, *force) for i, (time, force, _) in enumerate(rows)]
+    recording = read_all(written(tmp_path / "r.txt", lines))
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+
+
+def test_letters_may_name_the_sensors_of_rows(tmp_path: Path) -> None:
+    lines = [
+        joined(",", letter, time, *xyz)
+        for time, force, rates in zip(MS, FORCE, RATES, strict=True)
+        for letter, xyz in (("A", force), ("G", rates), ("M", (7, 8, 9)))
+    ]
+    recording = read_all(written(tmp_path / "r.txt", lines))
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+    assert recording.gyroscope is not None
+    np.testing.assert_array_equal(recording.gyroscope.xyz, RATES)
+
+
 @pytest.mark.parametrize("start", ["2024-03-01 10:00:0{s:.3f},", "10:00:0{s:.3f} "])
 def test_a_date_may_be_the_time(tmp_path: Path, start: str) -> None:
     lines = [

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from stillcal.replay.formats.recognition.names.axes import find_axes, split_axis
-from stillcal.replay.formats.recognition.names.vocabulary import ATTITUDE, OF_ROTATION, OTHER_VECTORS
-from stillcal.replay.formats.recognition.names.words import cut, split_words
+from stillcal.replay.formats.recognition.names.vocabulary import (
+    ATTITUDE,
+    OF_AXES,
+    OF_ROTATION,
+    OTHER_VECTORS,
+)
+from stillcal.replay.formats.recognition.names.words import cut, spaced, split_words
 
 
 def qualified(names: Sequence[str], container: str) -> list[str]:
@@ -26,11 +31,31 @@ def named_after(names: Sequence[str], sensor: str, container: str) -> list[str] 
     None where others name axes or a rotation or there are several x, or what holds them (a file's name) is
     called after something else.
     """
-    bare = [name for name in names if name.strip().lower() in {"x", "y", "z"}]
+    bare = bare_axes(names)
     longer = [f"{sensor}.{name}" if name in bare else name for name in names]
     rotation = any((OF_ROTATION | ATTITUDE.keys()) & set(cut(name)[1]) for name in names)
     fits = len(bare) == 3 and not find_axes(names) and bool(find_axes(longer))
     return longer if fits and not called_otherwise(container, sensor) and not rotation else None
+
+
+def bare_axes(names: Sequence[str]) -> list[str]:
+    """Return the names that say an axis and not of what: `x`, `x-axis`, `axis_x`, `x_value`."""
+    found = []
+    for name in names:
+        axis, words = split_axis(*cut(name))
+        if axis is not None and set(words) <= OF_AXES:
+            found.append(name)
+    return found
+
+
+def name_sensors(texts: Collection[str], names: Sequence[str] = ("x", "y", "z")) -> bool:
+    """Whether the texts of a column say of which sensor each row is; names: of the table's columns.
+
+    Letters do (A, G, M) where there are no others: labels may be letters too.
+    """
+    sensors = [text.strip() for text in texts if find_axes(qualified(names, spaced(text)))]
+    others = {text.strip().lower() for text in texts} - {text.lower() for text in sensors}
+    return any(len(text) > 1 for text in sensors) or (len(sensors) > 1 and others <= {"m"})
 
 
 def called_otherwise(container: str, sensor: str) -> bool:

@@ -45,7 +45,7 @@ def without_gravity(names: Sequence[str]) -> list[str]:
 
 def unread_rates(names: Sequence[str]) -> list[str]:
     """Return the columns that are called after a gyroscope, where they name no axes that are known."""
-    plain = SENSOR_WORDS[Sensor.GYROSCOPE] - {"w", "g"} | {"rotationrate"}
+    plain = SENSOR_WORDS[Sensor.GYROSCOPE] - {"w", "g", "gy"} | {"rotationrate"}
     found = [(name, split_words(name)) for name in names if not find_stamps([name])]
     return [
         name

@@ -30,7 +30,7 @@ UNITS = {
     **dict.fromkeys(("ug", "µg", "μg"), "ug"),
     **dict.fromkeys(("rad/s", "rads", "radps", "rads-1", "rad", "1/s"), "rad/s"),
     **dict.fromkeys(("mrad/s", "mrads", "mrads-1"), "mrad/s"),
-    **dict.fromkeys(("deg/s", "degs", "dps", "deg", "degs-1"), "deg/s"),
+    **dict.fromkeys(("deg/s", "degs", "dps", "deg", "degs-1", "d/s"), "deg/s"),
     **dict.fromkeys(("mdps", "mdeg/s"), "mdeg/s"),
 }
 """Units as `spelled` gives them."""

@@ -11,7 +11,7 @@ def _of(*lines: str) -> frozenset[str]:
 
 
 ACCELERATION = _of(
-    "a acc acce accel accelerometer accelerometers acceleration accelerations accl alpha force gforce gf",
+    "a ac acc acce accel accelerometer accelerometers acceleration accelerations accl alpha force gforce gf",
     "beschleunigung aceleracion accelerazione aceleracao versnelling przyspieszenie",
     "beschleunigungssensor acelerometro accelerometro accelerometre versnellingsmeter akcelerometr",
 )
@@ -19,7 +19,7 @@ ANGULAR = _of("angular rotation angolare angulaire katowa katowe")
 """Words that make an acceleration an angular one."""
 
 RATE = ANGULAR | _of(
-    "w g gyr gyro gyros gyroscope gyroscopes omega rotationrate rot angvel angrate turnrate bodyrate",
+    "w g gy gyr gyro gyros gyroscope gyroscopes omega rotationrate rot angvel angrate turnrate bodyrate",
     "drehrate winkelgeschwindigkeit gyroskop giroscopio giroscopo zyroskop gyroscoop hoeksnelheid",
 )
 NEITHER = _of(
@@ -38,6 +38,9 @@ OTHER_VECTORS = _of(
     "direction directions normals velocity velocities",
 )
 """Words for what holds x, y, z of no sensor, which may be of gravity's size too: 1 or 9.8."""
+
+OF_AXES = _of("axis value values val vals data attr reading readings sensor imu")
+"""Words beside x, y, z that do not say of which sensor they are."""
 
 OF_ROTATION = _of("w qw q0 heading")
 """Names beside x, y, z that are then a quaternion's or a pose's; so are the angles of an attitude."""
@@ -85,7 +88,7 @@ LATE = _of("offset")
 """Words of times that count from another one: they serve where there is no other."""
 
 ARRIVAL = _of("arrival utc received host log logging unix")
-THERMOMETER = _of("temp temperature celsius degc degf temperatur temperatura temperatuur")
+THERMOMETER = _of("temp tmp temperature celsius degc degf temperatur temperatura temperatuur")
 RATES_HZ = _of("fs hz samplingrate samplerate ratehz samplingfrequency samplefrequency freq")
 
 OWN = {"t", "ax", "ay", "az"}
