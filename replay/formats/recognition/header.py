@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from stillcal.replay.formats.recognition.names.axes import find_axes
+from stillcal.replay.formats.recognition.names.stamps import find_stamps
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.text import uncommented
@@ -45,11 +46,35 @@ def stated_rate(lines: Sequence[str]) -> float | None:
 
 
 def unnamed_place(lines: Sequence[str]) -> int:
-    """Return how many lines stand before a table without a header, where they say its rate; else 0."""
+    """Return how many lines stand before a table without a header, 0 where one of them may be its header.
+
+    Where they say its rate, none of them that names no axes is one.
+    """
     first = first_row(lines) or 0
     before = [line for line in lines[:first] if line.strip()]
     named = any(find_axes(split_as(lines[first], uncommented(line))) for line in before)
-    return 0 if named or len(before) < 2 or stated_rate(before) is None else first
+    stated = len(before) > 1 and stated_rate(before) is not None
+    return (
+        0
+        if named or not (stated or not any(_may_be_header(lines[first], line) for line in before))
+        else first
+    )
+
+
+def described_place(lines: Sequence[str]) -> int:
+    """Return how many lines stand before a table of which several describe rows of a kind each; else 0."""
+    first = first_row(lines) or 0
+    axes = (find_axes(split_as(lines[first], uncommented(line))) for line in lines[:first] if line.strip())
+    return first if sum(map(bool, axes)) > 1 else 0
+
+
+def _may_be_header(row: str, line: str) -> bool:
+    """Whether a line may name the columns of a row, though it names no axes that are known."""
+    plain = uncommented(line)
+    names, delimiter = split_as(row, plain), delimiter_of(row)
+    if _width(names) == _width(cells_of(row)):
+        return plain == line or bool(find_stamps(names))
+    return plain == line and delimiter != " " and line.count(delimiter) > 1
 
 
 def cells_of(row: str) -> list[str]:

@@ -41,6 +41,7 @@ from stillcal.replay.formats.recognition.text_formats import (
     TextFormat,
     text_format,
 )
+from stillcal.replay.formats.recognition.unnamed import names_of_axes
 from stillcal.replay.formats.sources import Source, source_of
 from stillcal.replay.formats.tables.echoed import Echoed
 from stillcal.replay.formats.tables.json_table import JsonTable
@@ -80,6 +81,8 @@ def text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) 
 
 def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
     """Return the log of a text table of unknown make. Raises TraceError."""
+    if rates_alone(qualified(_axes_without_header(source, form) or [], _container(source))):
+        raise GyroscopeAloneError(source.path)
     table = _text_table(source, form)
     log = _log_by_names(source, OneSensor(table, form.cut, form.rate_hz), "text table", gyro)
     if log is not None:
@@ -198,7 +201,16 @@ def _one_sensor(source: Source) -> OneSensor:
         ((name, opened),) = tables.items()
         return OneSensor(_qualified(opened(), _container(source, name)), load_map("csv"))
     form = text_format(source)
-    return OneSensor(_text_table(form.source or source, form), form.cut, form.rate_hz)
+    source = form.source or source
+    form = replace(form, names=form.names or _axes_without_header(source, form))
+    return OneSensor(_text_table(source, form), form.cut, form.rate_hz)
+
+
+def _axes_without_header(source: Source, form: TextFormat) -> list[str] | None:
+    """Return names for the columns of a text table of three axes without a header; None of another table."""
+    if form.name != UNKNOWN or form.names is not None or form.column_map.header:
+        return None
+    return names_of_axes(TextTable(source, form.column_map).opening)
 
 
 def _text_table(source: Source, form: TextFormat) -> Table:

@@ -18,6 +18,7 @@ from stillcal.replay.formats.columns import (
 from stillcal.replay.formats.recognition.header import (
     DELIMITERS,
     delimiter_of,
+    described_place,
     first_row,
     header_place,
     split_as,
@@ -91,11 +92,13 @@ def _of_lines(lines: list[str], whole: bool) -> TextFormat:
         return TextFormat(GNSS_LOGGER, load_map("csv"))
     if first_row(filled) == 0 or _hhar_row(filled[0]):
         return _headerless(filled)
-    unnamed = unnamed_place(lines)
-    if unnamed:
-        form = _headerless([line for line in lines[unnamed:] if line.strip()])
-        placed = msgspec.structs.replace(form.column_map, skip_lines=unnamed)
-        return replace(form, column_map=placed, rate_hz=stated_rate(lines[:unnamed]))
+    unnamed, described = unnamed_place(lines), described_place(lines)
+    if unnamed or described:
+        first = unnamed or described
+        form = _headerless([line for line in lines[first:] if line.strip()])
+        if unnamed or form.names is not None:
+            placed = msgspec.structs.replace(form.column_map, skip_lines=first)
+            return replace(form, column_map=placed, rate_hz=stated_rate(lines[:first]))
     before, after = header_place(lines)
     filled = [line for line in lines[before:] if line.strip()]
     form = replace(

@@ -63,17 +63,24 @@ def names_of_rows(rows: Sequence[Sequence[str]]) -> list[str] | None:
             if not name_sensors({other[place] for other in rows if len(other) > place}):
                 continue
             own = [other for other in rows if len(other) == len(row) and other[place] == text]
-            found = places_of(own)
-            if len(found.values) != len(_AXES):
-                return None
-            names = [f"column {i}" for i in range(len(row))]
-            names[place] = NAMED_BY
-            for i, time in enumerate(found.times):
-                names[time] = f"time {i}" if i else "time"
-            for axis, value in zip(_AXES, found.values, strict=True):
-                names[value] = axis
+            names = names_of_axes(own)
+            if names is not None:
+                names[place] = NAMED_BY
             return names
     return None
+
+
+def names_of_axes(rows: Sequence[Sequence[str]]) -> list[str] | None:
+    """Return names for the columns of a table with three axes and no others; None where it is none."""
+    found = places_of(rows)
+    if len(found.values) != len(_AXES):
+        return None
+    names = [f"column {i}" for i in range(len(rows[0]))]
+    for i, time in enumerate(found.times):
+        names[time] = f"time {i}" if i else "time"
+    for axis, value in zip(_AXES, found.values, strict=True):
+        names[value] = axis
+    return names
 
 
 def _numbers(column: Sequence[str]) -> Array | None:

@@ -59,6 +59,7 @@ PAIRS = [
     ("a_Accelerometer.csv", xyz(*METAWEAR, "m/s^2"), "a_Gyroscope.csv", xyz(*METAWEAR, "deg/s"), DEGREES),
     ("sensor_accel_0.csv", "timestamp,x,y,z", "sensor_gyro_0.csv", "timestamp,x,y,z", DEGREES),
     ("acc.csv", "t,x,y,z", "gyr.csv", "t,x,y,z", 1.0),
+    ("acce.txt", "# Created on a Monday", "gyro.txt", "# Created on a Monday", 1.0),
 ]
 
 

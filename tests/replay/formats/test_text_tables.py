@@ -103,6 +103,30 @@ def test_without_one_stated_rate_there_is_no_time(tmp_path: Path, lines: str) ->
         read(tmp_path, f"// facts\n{lines}{table}")
 
 
+@pytest.mark.parametrize(
+    "lines",
+    [
+        "# Created on a Monday",
+        "MPU6050 found!\n\nrange: 4 g",
+        "#STANDING\n#2015\n@DATA",
+        "# a, b, c, d, e, f, g",
+    ],
+)
+@pytest.mark.parametrize("mark", [",", " ", "\t"])
+def test_facts_before_a_table_without_a_header_are_none(tmp_path: Path, lines: str, mark: str) -> None:
+    assert_read(read(tmp_path, text(lines, DATA, mark)))
+
+
+def test_lines_that_describe_rows_of_several_kinds_are_no_header(tmp_path: Path) -> None:
+    facts = "% ACCE;time(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2)\n% GYRO;time(s);Gyr_X;Gyr_Y;Gyr_Z"
+    rows = (
+        f"{kind};{t!r};{';'.join(map(repr, xyz))}"
+        for t, *values in DATA.tolist()
+        for kind, xyz in (("ACCE", values[:3]), ("GYRO", values[3:]))
+    )
+    assert_read(read(tmp_path, "\n".join([facts, *rows, ""])))
+
+
 START = datetime(2021, 8, 25, 23, 59, 57)
 
 
