@@ -100,26 +100,29 @@ def settled_apart(apart: Sequence[OneSensor]) -> list[LoggedSensor]:
 
 
 def _readable(candidates: Sequence[tuple[_Candidate, OneSensor, OneSensor | None]]) -> list[LoggedSensor]:
-    """Return those of accelerometers that can be read, under different names. Raises TraceError if none can.
+    """Return those of accelerometers that can be read, under different names; raw counts last.
+
+    Raises TraceError if none can.
 
     candidates: each with the table that holds it, and that of a gyroscope apart.
     """
-    sensors: list[tuple[Axes, LoggedSensor]] = []
+    sensors: list[tuple[str, Axes, LoggedSensor]] = []
     faults: list[TraceError] = []
     for candidate, own, rates in candidates:
         try:
-            sensor = _sensor(own.table, own.column_map, candidate, own.rate_hz, rates)
-            sensors.append((candidate.accelerometer, sensor))
+            unit, sensor = _sensor(own.table, own.column_map, candidate, own.rate_hz, rates)
+            sensors.append((unit, candidate.accelerometer, sensor))
         except TraceError as fault:
             faults.append(fault)
     if faults and not sensors:
         raise faults[0]
-    alike = Counter(sensor.name for _, sensor in sensors)
+    sensors.sort(key=lambda found: found[0] == "counts")
+    alike = Counter(sensor.name for *_, sensor in sensors)
     return [
         replace(sensor, name="_".join(filter(None, (axes.label, axes.quantity))))
         if alike[sensor.name] > 1
         else sensor
-        for axes, sensor in sensors
+        for _, axes, sensor in sensors
     ]
 
 
@@ -191,7 +194,8 @@ def _counted(table: Table) -> list[_Candidate]:
 
 def _sensor(
     table: Table, base: ColumnMap, candidate: _Candidate, rate_hz: float | None, rates: OneSensor | None
-) -> LoggedSensor:
+) -> tuple[str, LoggedSensor]:
+    """Return the sensor of an accelerometer, and the unit of its columns. Raises TraceError."""
     probe = Probe(table)
     accelerometer, gyroscope = candidate.accelerometer, candidate.gyroscope
     if gyroscope is not None and candidate.rate_stamps:
@@ -227,7 +231,7 @@ def _sensor(
         own, told = _rates_apart(rates, parts[0], force, candidate)
         parts, notes = [*parts, *own], [*notes, told]
     about = "accelerometer" + ("" if gyroscope is None and rates is None else ", gyroscope")
-    return LoggedSensor.of(accelerometer.label or "imu", parts, about, notes)
+    return force.name, LoggedSensor.of(accelerometer.label or "imu", parts, about, notes)
 
 
 def _said_of(gyroscope: Axes, rate: Unit | None) -> str:

@@ -1,8 +1,9 @@
 """Dates and times of day, as loggers and spreadsheets write them, in seconds.
 
 Dates: 2026-03-01, 2026/3/1, 1.3.2026 (day first), 3/1/2026 (month first, unless the first number is none),
-and 01-Mar-2026. Times: 10:00:00.02, 10:00:00,020, 10:00:00:020, 9:05:01.5 PM; without a date also 05:01.5,
-minutes and seconds. Without a date a time goes on past midnight, or past the hour.
+and 01-Mar-2026; a year that stands last may have two digits. Times: 10:00:00.02, 10:00:00,020, 10:00:00:020,
+9:05:01.5 PM; without a date also 05:01.5, minutes and seconds. Without a date a time goes on past midnight,
+or past the hour.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 
-_DAY = r"(?P<day>\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d{4}|\d\d?-[A-Za-z]{3}-\d{4})(?:[T_]|,? )\s*"
+_DAY = r"(?P<day>\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d\d(?:\d\d)?|\d\d?-[A-Za-z]{3}-\d\d(?:\d\d)?)"
+_DAY += r"(?:[T_]|,? )\s*"
 _CLOCK = r"(?P<one>\d{1,2}):(?P<two>[0-5]\d)(?::(?P<three>[0-5]\d))?(?:[.,:](?P<part>\d{1,9}))?"
 _WHOLE = re.compile(rf"\s*(?:{_DAY})?{_CLOCK}\s?(?P<half>[AaPp][Mm])?\s*(?P<zone>Z|[+-]\d\d:?\d\d)?\s*")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
@@ -130,15 +132,20 @@ def _days(text: str, day_first: bool) -> int | None:
     first, second, third = re.split(r"[-/.]", text)
     try:
         if second.isalpha():
-            year, month, day = int(third), _MONTHS.index(second.lower()) + 1, int(first)
+            year, month, day = _year(third), _MONTHS.index(second.lower()) + 1, int(first)
         elif len(first) == 4:
             year, month, day = int(first), int(second), int(third)
         else:
             year, month, day = (
-                int(third),
+                _year(third),
                 int(second if day_first else first),
                 int(first if day_first else second),
             )
         return date(year, month, day).toordinal() - _EPOCH
     except ValueError:
         return None
+
+
+def _year(text: str) -> int:
+    """Return a year, that of this century where it has two digits."""
+    return int(text) + (2000 if len(text) == 2 else 0)

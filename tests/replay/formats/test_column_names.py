@@ -95,6 +95,22 @@ def test_acceleration_in_axes_of_the_earth_is_no_sensors(tmp_path: Path, frame: 
         read(tmp_path, f"time,{turned}", DATA[:, 0], level)
 
 
+def test_a_letter_beside_a_sensors_word_is_no_sensor(tmp_path: Path) -> None:
+    header = "time,imu_a_acc_x,imu_a_acc_y,imu_a_acc_z,imu_a_gyro_x,imu_a_gyro_y,imu_a_gyro_z"
+    assert_read(read(tmp_path, header, DATA[:, 0], FORCE, RATE))
+
+
+def test_columns_in_units_go_before_raw_counts(tmp_path: Path) -> None:
+    kinds = [
+        f"{sensor}_{axis}_{kind}" for sensor in ("acc", "gyr") for kind in ("raw", "cal") for axis in "xyz"
+    ]
+    counts = np.round(FORCE / 9.80665 * 4096 + 300)  # which have an offset
+    columns = (DATA[:, 0], counts, FORCE, np.round(RATE * 3000), RATE)
+    recording = read(tmp_path, ",".join(["time", *kinds]), *columns)
+    assert_read(recording)
+    assert "has 2 sensors" in recording.notes[0]
+
+
 def test_a_gyroscope_goes_before_body_rates(tmp_path: Path) -> None:
     header = "time,p,q,r,acc_x,acc_y,acc_z,gyro_x,gyro_y,gyro_z"
     assert_read(read(tmp_path, header, DATA[:, 0], RATE * 0.9, FORCE, RATE))

@@ -100,6 +100,24 @@ def test_ticks_are_no_times_where_there_are_times(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.accelerometer.t, SECONDS)
 
 
+@pytest.mark.parametrize("beside", ["Date", "node clock (s)"])
+def test_steps_show_no_unit_that_times_beside_them_contradict(tmp_path: Path, beside: str) -> None:
+    ticks = texts(np.floor(SECONDS * 32768), ".0f")  # such as 0.33 ms if they were us
+    clock = [f"2026-03-01 10:00:0{t:.2f}" for t in SECONDS] if beside == "Date" else texts(SECONDS)
+    recording = read(tmp_path, {"node_timestamp": ticks, beside: clock})
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+    again = read(tmp_path, {"node_timestamp": texts(SECONDS * 1000, ".0f"), beside: clock})
+    assert "time node_timestamp in ms" in again.notes[0]
+
+
+@pytest.mark.parametrize("late", ["Phone timestamp [ms]", "Timestamp_RAW", "system time (ms)"])
+def test_the_sensors_own_times_go_before_anothers(tmp_path: Path, late: str) -> None:
+    others = texts(np.sort(SECONDS + RNG.uniform(0, 0.02, N)) * 1000, ".0f")
+    recording = read(tmp_path, {late: others, "sensor timestamp [ns]": texts(SECONDS * 1e9, ".0f")})
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+    assert "time sensor timestamp [ns]" in recording.notes[0]
+
+
 def test_whole_seconds_without_a_unit_and_their_fraction(tmp_path: Path) -> None:
     whole = texts(np.floor(SECONDS + 1e-9), ".0f")
     parts = [f"{round(s * 1000) % 1000}" for s in SECONDS]

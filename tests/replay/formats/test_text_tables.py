@@ -150,6 +150,8 @@ def stamped(clock: Callable[[datetime], str]) -> str:
         ("%d/%m/%Y %H:%M:%S.%f", "in dates;"),
         ("%Y/%m/%d %H:%M:%S.%f", "in dates;"),
         ("%d-%b-%Y %H:%M:%S.%f", "in dates;"),
+        ("%d.%m.%y %H:%M:%S.%f", "in dates;"),
+        ("%m/%d/%y %I:%M:%S.%f %p", "in dates, the month first"),
         ("%Y-%m-%dT%H:%M:%S.%fZ", "in dates;"),
         ('"%Y-%m-%d %H:%M:%S,%f"', "in dates;"),
     ],

@@ -29,6 +29,7 @@ from stillcal.replay.formats.recognition.names.vocabulary import (
     BODY_RATES,
     FILLERS,
     GRAVITY,
+    LETTERS,
     NO_AXES,
     OF_CORE_MOTION,
     RATE,
@@ -155,7 +156,8 @@ def axis_of(name: str) -> _Word | None:
     stated, words = unit_at_end(words)
     kinds = set(words)
     unit = unit or next(iter(OTHER_UNITS & {bracket, *words}), None)
-    acceleration = bool(kinds & ACCELERATION) or by_unit in FORCE
+    letter = bool(kinds & ACCELERATION & LETTERS) and not kinds & RATE - LETTERS
+    acceleration = bool(kinds & ACCELERATION - LETTERS) or letter or by_unit in FORCE
     rate = bool(kinds & RATE) or {"ang", "vel"} <= kinds or by_unit in TURNING
     attitude = bool(kinds & VECTOR and kinds & ROTATION)
     other = attitude or bool(kinds & NO_AXES) or (acceleration and bool(kinds & ANGULAR))

@@ -52,7 +52,7 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
         by_unit = bracket in TIME_UNITS
         other = set(rest) & (NEITHER - LATE) or is_thermometer(bracket, words)
         if (is_time or by_unit) and not other:
-            late = bool(set(words) & (ARRIVAL | LATE)) or not is_time
+            late = (not is_time, bool(set(words) & (ARRIVAL | LATE)))
             stamps = Stamps(name, "_".join(rest), units[0] if units else None)
             found.append((late, OF_MESSAGE not in words, place, stamps))
     alone = [stamps for *_, stamps in sorted(found, key=lambda f: f[:3])]

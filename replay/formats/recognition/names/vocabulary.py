@@ -22,6 +22,9 @@ RATE = ANGULAR | _of(
     "w g gy gyr gyro gyros gyroscope gyroscopes omega rotationrate rot angvel angrate turnrate bodyrate",
     "drehrate winkelgeschwindigkeit gyroskop giroscopio giroscopo zyroskop gyroscoop hoeksnelheid",
 )
+LETTERS = _of("a w g")
+"""Letters that may stand for a sensor, or for anything beside a sensor's word (`imu_a_gyro_x`)."""
+
 NEITHER = _of(
     "mag magnetometer magnetic gravity grav free user bias drift offset sigma std var variance covariance",
     "cov setpoint sp desired des target cmd commanded quat orientation position pos integral",
@@ -87,7 +90,8 @@ OF_MESSAGE = "header"
 LATE = _of("offset")
 """Words of times that count from another one: they serve where there is no other."""
 
-ARRIVAL = _of("arrival utc received host log logging unix")
+ARRIVAL = _of("arrival utc received host phone system pc log logging unix raw")
+"""Words of times that another clock took, or that are ticks; the sensor's own go before them."""
 THERMOMETER = _of("temp tmp temperature celsius degc degf temperatur temperatura temperatuur")
 RATES_HZ = _of("fs hz samplingrate samplerate ratehz samplingfrequency samplefrequency freq")
 

@@ -14,6 +14,7 @@ from stillcal.replay.formats.columns import (
     TIME_UNITS,
     Column,
     TimeMap,
+    find_columns,
 )
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.names.stamps import Stamps
@@ -25,8 +26,14 @@ from stillcal.replay.formats.recognition.settling.probe import (
     repeating,
 )
 from stillcal.replay.formats.tables.cells import is_number
-from stillcal.replay.formats.tables.dates import kind_of_dates
+from stillcal.replay.formats.tables.dates import dates_in_seconds, is_date, kind_of_dates
 from stillcal.replay.formats.tables.table import Table
+
+_ALIKE = 2.0
+"""Ratio up to which two columns of one table last equally long: units differ by more."""
+
+_FEWEST_STEPS = 3
+"""Steps of the coarser column that the first rows must last, for the ratio to be known so well."""
 
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
@@ -44,8 +51,11 @@ def time_of(
         return TimeMap(column=paired.column, unit="s", fraction=column, fraction_unit=unit), said
     stamps = [s for s in stamps if s.fraction is None]
     dated = [Stamps(name, "", None) for name in table.names or () if holds_dates(table, name)]
+    known = [*dated, *(s for s in stamps if s.unit is not None)]
     for choice in [*stamps, *dated]:
         found = _in_column(table, probe, choice)
+        if isinstance(found, TimeMap) and choice.unit is None and found.unit != "date":
+            found = _contradicted(table, choice, found, known) or found
         if isinstance(found, TimeMap):
             return found, f"time {choice.column} in {_kind_of_time(table, probe, choice, found)}"
         unusable = unusable or found
@@ -91,6 +101,38 @@ def _in_column(table: Table, probe: Probe, choice: Stamps) -> TimeMap | TraceErr
     what = f"column {column!r} goes in steps of {_step(values):.4g}, which shows no unit of time"
     remedy = "say the unit in its name (time_s, time_ms, time_us), or in a column map (docs/formats.md)"
     return TraceError(table.path, what, remedy)
+
+
+def _contradicted(table: Table, choice: Stamps, found: TimeMap, known: Sequence[Stamps]) -> TraceError | None:
+    """Return the error where times in a unit that their steps show do not last as long as those beside them.
+
+    known: columns whose unit is no guess.
+    """
+    units = TIME_UNITS | LONG_TIME_UNITS
+    own = _first_seconds(table, choice.column, units[found.unit])
+    for other in known:
+        seconds = _first_seconds(table, other.column, 1.0 if other.unit is None else units[other.unit])
+        if other.column == choice.column or own.size != seconds.size or own.size < 2:
+            continue
+        lasts, should = float(np.ptp(own)), float(np.ptp(seconds))
+        steps = np.abs(np.diff(seconds))
+        finest = float(steps[steps > 0].min()) if (steps > 0).any() else np.inf
+        if should > _FEWEST_STEPS * finest and not should / _ALIKE < lasts < should * _ALIKE:
+            what = f"column {choice.column!r} lasts for no such time as column {other.column!r}"
+            return TraceError(table.path, what, "say its unit in a column map (docs/formats.md)")
+    return None
+
+
+def _first_seconds(table: Table, column: Column, seconds_per_unit: float) -> Array:
+    """Return a column's times in the first rows, s, (n,); none where a row has no such time."""
+    (place,) = find_columns([column], table.names, table.width) or [0]
+    cells = [row[place].strip().strip('"').encode() for row in table.opening if len(row) == table.width]
+    try:
+        if cells and is_date(cells[0]):
+            return dates_in_seconds(cells)
+        return np.array([float(cell) for cell in cells]) * seconds_per_unit
+    except ValueError:
+        return np.empty(0)
 
 
 def _too_coarse(table: Table, column: Column, repeating: float) -> TraceError | None:
