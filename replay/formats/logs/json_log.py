@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from stillcal.replay.formats.errors import TraceError
+from stillcal.replay.formats.logs.json_messages import one_by_one
 from stillcal.replay.formats.recognition.names.axes import find_axes
 from stillcal.replay.formats.recognition.names.containers import qualified
 from stillcal.replay.formats.sources import Source
@@ -40,11 +41,23 @@ def json_tables(source: Source) -> dict[str, Callable[[], JsonTable]]:
     plain = plain_text(source)
     form = form_of(plain)
     if form is not Form.DOCUMENT:
-        return {"": partial(JsonTable, source.path, partial(read_records, plain, form), source.size)}
-    found = dict(_record_lists(json_document(source)))
+        return _tables(source, "", partial(read_records, plain, form))
+    found: dict[str, Callable[[], JsonTable]] = {}
+    for name, records in _record_lists(json_document(source)):
+        found |= _tables(source, name, partial(_in_blocks, records, source.size))
+    return found
+
+
+def _tables(
+    source: Source, name: str, records: Callable[[], Iterator[Records]]
+) -> dict[str, Callable[[], JsonTable]]:
+    """Return what opens the table of records, or of each kind of message among them."""
+    opened = one_by_one(records)
     return {
-        name: partial(JsonTable, source.path, partial(_in_blocks, records, source.size), source.size)
-        for name, records in found.items()
+        name if len(opened) == 1 else f"{name}#{i}": partial(
+            JsonTable, source.path, of_kind, source.size, [said] if said else None
+        )
+        for i, (of_kind, said) in enumerate(opened)
     }
 
 

@@ -120,6 +120,76 @@ def test_records_are_read(
     assert_same(read(tmp_path, pack(records())))
 
 
+STAMP = 1e3 * T[::10] + 500
+"""ms of messages of ten samples each."""
+
+
+def by_radio(first: int, count: int = 10) -> tuple[list[Record], list[Record]]:
+    accelerations, rates = (
+        [dict(zip("xyz", row, strict=True)) for row in data[first : first + count].tolist()]
+        for data in (FORCE, RATE)
+    )
+    return accelerations, rates
+
+
+def with_one_stamp() -> list[Record]:
+    """Return messages as Movesense sends them."""
+    found = []
+    for stamp, first in zip(STAMP.tolist(), range(0, len(T), 10), strict=True):
+        accelerations, rates = by_radio(first)
+        body = {"Timestamp": stamp, "ArrayAcc": accelerations, "ArrayGyro": rates}
+        found.append({"Body": body, "Uri": "2000/Meas/IMU6/104", "Temperature": 20.0 + first})
+    return found
+
+
+def of_each_sensor() -> list[Record]:
+    found = []
+    for stamp, first in zip(STAMP.tolist(), range(0, len(T), 10), strict=True):
+        accelerations, rates = by_radio(first)
+        found.append({"acc": {"Timestamp": stamp, "ArrayAcc": accelerations}})
+        found.append({"gyro": {"Timestamp": stamp, "ArrayGyro": rates}})
+    return found
+
+
+def of_vectors() -> list[Record]:
+    return [
+        {"ts": stamp, "acc": FORCE[i : i + 10].tolist(), "gyr": RATE[i : i + 10].tolist()}
+        for stamp, i in zip(STAMP.tolist(), range(0, len(T), 10), strict=True)
+    ]
+
+
+def of_axes() -> list[Record]:
+    columns = {
+        f"{name}_{axis}": data[:, i]
+        for name, data in (("acc", FORCE), ("gyr", RATE))
+        for i, axis in enumerate("xyz")
+    }
+    return [
+        {"time_ms": stamp} | {name: values[i : i + 10].tolist() for name, values in columns.items()}
+        for stamp, i in zip(STAMP.tolist(), range(0, len(T), 10), strict=True)
+    ]
+
+
+@pytest.mark.parametrize("pack", PACKS)
+@pytest.mark.parametrize("records", [with_one_stamp, of_each_sensor, of_vectors, of_axes])
+def test_the_samples_of_a_message_are_spread_between_stamps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pack: Pack, records: Callable[[], list[Record]]
+) -> None:
+    recording = read(tmp_path, pack(records()))
+    assert_same(recording)
+    assert any("several samples in a message" in note for note in recording.notes)
+    monkeypatch.setattr(json_records, "_PIECE", 5000)
+    assert_same(read(tmp_path, pack(records())))
+
+
+def test_lost_messages_leave_a_gap(tmp_path: Path) -> None:
+    messages = with_one_stamp()
+    recording = read(tmp_path, lines(messages[:20] + messages[40:]))
+    kept = np.r_[0:200, 400 : len(T)]
+    np.testing.assert_allclose(recording.accelerometer.t - recording.accelerometer.t[0], T[kept], atol=1e-6)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE[kept])
+
+
 def test_records_are_read_from_gzip_zip_and_with_a_byte_order_mark(tmp_path: Path) -> None:
     (tmp_path / "walk.jsonl.gz").write_bytes(gzip.compress(b"\xef\xbb\xbf" + lines(flat()).encode()))
     assert_same(read_all(tmp_path / "walk.jsonl.gz"))
