@@ -219,6 +219,7 @@ class GainInStretch(Unknown):
 
     def __init__(self) -> None:
         super().__init__("accel", "own force in a stretch of time", GAIN)
+        self.jump = Step("accel")
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return none: the stretches are a dictionary."""
@@ -227,6 +228,12 @@ class GainInStretch(Unknown):
     def dictionary(self, moments: Moments) -> Dictionary | None:
         """Return the stretches in which a bias may be another, where attitudes suffice."""
         return _of_force(curves.pulses(moments), moments)
+
+    def response(self, moments: Moments, grid: Grid) -> Array:
+        """Return the force on each axis between the two moments."""
+        assert moments.force is not None, "no grid points without it"
+        after = (self.jump.curve(moments, {"t_start": grid[end]}) for end in ("t_start", "t_end"))
+        return on_axes(moments.force * np.subtract(*after)[:, None])
 
 
 class GainFromMoment(Unknown):

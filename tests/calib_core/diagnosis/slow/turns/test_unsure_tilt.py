@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis import diagnose
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
-from stillcal.calib_core.diagnosis.effects.unknown import CrossedForce
+from stillcal.calib_core.diagnosis.effects.unknown import CrossedForce, GainInStretch
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.slow.statement import Stated
@@ -100,6 +100,21 @@ def test_a_nameless_gain_tilts_by_what_it_adds_at_rest() -> None:
     moments = residuals.moments
     added = 0.5e-3 * moments.temperature[:, None] * moments.force[:, [0, 2]]
     expected = 2.0 * np.sqrt((added**2).sum(axis=1).mean()) / STANDARD
+    assert expected > 1e-4 and unsure_tilt([told], STANDARD, LASTS) == pytest.approx(expected)
+
+
+def test_a_nameless_gain_in_a_stretch_tilts_by_what_it_adds_there() -> None:
+    exam = examined(recorded(phone_with(), 3), sought=())
+    residuals = next(s for s in exam.sensors if s.sensor == "accel")
+    stretched, moments = GainInStretch(), residuals.moments
+    many = stretched.dictionary(moments)
+    assert many is not None
+    k = len(many.grids) // 2
+    own = residuals.hypothesis(stretched, many.grids[k])
+    gain = Parameter([0.0, 0.0, 0.01], [[0.0, 0.0]] * 3, "1")
+    told = Stated(finding("unknown", "accel", {"gain": gain}, SLOW_BAND), own, residuals)
+    added = 0.01 * many.curve(k)[0] * moments.force[:, 2]
+    expected = 2.0 * np.sqrt((added**2).mean()) / STANDARD
     assert expected > 1e-4 and unsure_tilt([told], STANDARD, LASTS) == pytest.approx(expected)
 
 
