@@ -326,8 +326,8 @@ def _values(quantity: Quantity) -> dict[str, Any]:
 def _difference(difference: Difference) -> dict[str, Any]:
     """Return what to add to the simulation, with 95 % intervals; of positive numbers the ratio too.
 
-    There is no ratio to nothing. Of scales that share gravity's uncertainty it is also given how they differ
-    from their mean.
+    There is no ratio to nothing, and none beside a part that is called so itself (of heavy tails). Of scales
+    that share gravity's uncertainty it is also given how they differ from their mean.
     """
     recorded, simulated = difference.recorded, difference.simulated
     if not recorded.logarithmic:
@@ -337,7 +337,7 @@ def _difference(difference: Difference) -> dict[str, Any]:
     one, other = _number(recorded), _number(simulated)
     half = NORMAL_95 * np.hypot(one * recorded.sigma, other * simulated.sigma)
     out = _by_part(recorded, one - other, one - other - half, one - other + half)
-    if recorded.none or simulated.none:
+    if recorded.none or simulated.none or "ratio" in out:
         return out
     spread = np.exp(NORMAL_95 * difference.sigma)
     ratio = np.exp(difference.value)
