@@ -182,6 +182,11 @@ class SampleFile:
         for place in self._clock_columns():
             bad[:, place] |= values[:, place] == EMPTY
         for axes in self._layout.axes.values():
+            none = np.flatnonzero(
+                np.isnan(values[:, axes]).all(axis=1)
+            )  # as MATLAB writes that there is none
+            values[none, axes] = EMPTY
+            bad[none, axes] = False
             empty = values[:, axes] == EMPTY
             bad[:, axes] |= empty & ~empty.all(axis=1, keepdims=True)
         if bad.any():

@@ -134,7 +134,12 @@ def _records_log(
     base = column_map or load_map("csv")
     own = [OneSensor(_qualified(opened(), _container(source, name)), base) for name, opened in tables.items()]
     if len(own) > 1 and column_map is None:
-        return Log(source.path, kind, settled_apart(own), beside=source.local)
+        sensors = settled_apart(own)
+        if not sensors:
+            what = f"no accelerometer found in its lists of records: {', '.join(list(tables)[:8])}"
+            remedy = "write one object for each sample, such as {time, acc_x, acc_y, acc_z}"
+            raise TraceError(source.path, what, remedy)
+        return Log(source.path, kind, sensors, beside=source.local)
     table, opened = own[0].table, next(iter(tables.values()))
     if column_map is not None or is_own(table.names or []):
         if column_map is None:

@@ -95,6 +95,32 @@ def test_acceleration_in_axes_of_the_earth_is_no_sensors(tmp_path: Path, frame: 
         read(tmp_path, f"time,{turned}", DATA[:, 0], level)
 
 
+@pytest.mark.parametrize(
+    "form", ["{s}{axis}{n}", "{s}{n}{axis}", "{word}{n}_{axis}", "{word}_{axis}_{n}", "{word}{n}{axis}"]
+)
+def test_sensors_that_are_numbered_are_several(tmp_path: Path, form: str) -> None:
+    kinds = {"acc": "a", "gyro": "g"}
+    header = ["time"] + [
+        form.format(s=s, word=word, n=n, axis=axis)
+        for n in (1, 2)
+        for word, s in kinds.items()
+        for axis in "xyz"
+    ]
+    recording = read(tmp_path, ",".join(header), DATA[:, 0], FORCE, RATE, 1.01 * FORCE, 0.5 * RATE)
+    assert_read(recording)
+    assert "has 2 sensors: 1 (accelerometer, gyroscope), 2" in recording.notes[0]
+
+
+@pytest.mark.parametrize("form", ["acc_{},gyr_{}", "acc{},gyro{}", "Acceleration_{},AngularVelocity_{}"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_the_columns_of_a_vector_may_be_numbered(tmp_path: Path, form: str, first: int) -> None:
+    acc, gyr = form.split(",")
+    header = ["time", *(name.format(first + i) for name in (acc, gyr) for i in range(3))]
+    assert_read(read(tmp_path, ",".join(header), DATA[:, 0], FORCE, RATE))
+    with pytest.raises(TraceError, match="no accelerometer"):  # four sensors of one axis each
+        read(tmp_path, ",".join([*header, acc.format(first + 3)]), DATA[:, 0], FORCE, RATE, FORCE[:, 2])
+
+
 def test_a_letter_beside_a_sensors_word_is_no_sensor(tmp_path: Path) -> None:
     header = "time,imu_a_acc_x,imu_a_acc_y,imu_a_acc_z,imu_a_gyro_x,imu_a_gyro_y,imu_a_gyro_z"
     assert_read(read(tmp_path, header, DATA[:, 0], FORCE, RATE))

@@ -331,6 +331,10 @@ def test_a_file_cut_short_is_refused(tmp_path: Path, pack: Pack) -> None:
         ("[" * 100_000, "the JSON ends within a record"),
         ('[{"x": 1}, {"x": 2}]', "no accelerometer found by its names; the header has: x"),
         ('{"a": 1}\n{"a": 2}\n', "no accelerometer found by its names"),
+        (
+            json.dumps({f"acc{a}": [{"ts": i, "value": i} for i in range(9)] for a in "XYZ"}),
+            "lists of records",
+        ),
     ],
 )
 def test_json_that_is_no_recording_is_refused(tmp_path: Path, text: str, said: str) -> None:

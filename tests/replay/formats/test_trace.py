@@ -293,6 +293,22 @@ def test_a_rest_table_with_a_cell_that_is_no_number_is_known_as_one(tmp_path: Pa
         read_rest_table(tmp_path / "r.csv")
 
 
+@pytest.mark.parametrize("cell", ["", "NaN", "nan"])
+def test_a_sample_of_which_all_cells_are_empty_or_nan_is_none(tmp_path: Path, cell: str) -> None:
+    rows = [line.split(",") for line in [HEADER, *(",".join(map(repr, row)) for row in still(300).tolist())]]
+    for i in range(1, 301, 3):
+        rows[i][1:4] = rows[i + 1][4:7] = [cell] * 3
+    (tmp_path / "r.csv").write_text("\n".join(map(",".join, rows)))
+    recording = read_all(tmp_path / "r.csv")
+    assert recording.gyroscope is not None
+    assert (len(recording.accelerometer), len(recording.gyroscope)) == (200, 200)
+    assert recording.notes == ["r.csv: 200 rows have no sample of one sensor (empty cells)"]
+    rows[5][3] = cell
+    (tmp_path / "r.csv").write_text("\n".join(map(",".join, rows)))
+    with pytest.raises(TraceError, match=r"r\.csv:6: column 'az' (holds nan|is empty)"):
+        read_all(tmp_path / "r.csv")
+
+
 def test_a_sensor_that_was_on_for_a_part_of_the_time_is_told_of(tmp_path: Path) -> None:
     lines = [HEADER, *(",".join(map(repr, row)) for row in still(3000).tolist())]
     (tmp_path / "both.csv").write_text("\n".join(lines))

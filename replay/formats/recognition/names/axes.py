@@ -8,7 +8,7 @@ apart.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 from typing import Literal
 
@@ -45,6 +45,12 @@ from stillcal.replay.formats.recognition.names.words import cut
 _AXES = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
 _NUMBERED = re.compile(r"^(?:v|vals?|values?|data)([012])$")
 """Axes as Android counts the values of an event."""
+
+_WITH_NUMBER = re.compile(r"^([a-z]*?)([xyz]?)(\d+)([xyz]?)$")
+"""A sensor's word with its number, as in `acc1`, `ax1`, `a1x`, or an axis with it."""
+
+_VECTORS = ({0, 1, 2}, {1, 2, 3})
+"""Numbers by which tools without axes call a vector's columns: `acc_1`, `acc_2`, `acc_3` (MATLAB)."""
 
 _AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
 _TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
@@ -93,11 +99,16 @@ def find_axes(names: Sequence[str]) -> list[Axes]:
     Those of a vague name are left out where the same sensor has a plain one.
     """
     found: dict[tuple[Sensor, str, str | None, str], dict[int, str]] = {}
+    unnamed = []
     for name in names:
         word = axis_of(name)
-        if word is not None:
+        if word is None:
+            unnamed.append(name)
+        else:
             key = (word.sensor, word.label, word.unit, word.quantity)
             found.setdefault(key, {}).setdefault(word.axis, name)
+    for word, columns in _vectors(unnamed):
+        found.setdefault((word.sensor, word.label, word.unit, word.quantity), columns)
     axes = [
         Axes(sensor, label, (columns[0], columns[1], columns[2]), unit, quantity)
         for (sensor, label, unit, quantity), columns in found.items()
@@ -110,6 +121,30 @@ def find_axes(names: Sequence[str]) -> list[Axes]:
         whole = _with_gravity_apart(names)
         certain = [a for a in certain if a.columns not in {w.columns for w in whole}] + whole
     return sorted(certain, key=lambda a: not a.called(RAW))
+
+
+def _vectors(names: Sequence[str]) -> Iterator[tuple[_Word, dict[int, str]]]:
+    """Yield sensors whose columns are numbered and no more than three."""
+    numbered: dict[tuple[str, ...], dict[int, str]] = {}
+    for name in names:
+        *words, number = _numbers_apart(cut(name)[1]) or [""]
+        if number.isdigit() and (ACCELERATION | RATE) - LETTERS & set(words):
+            numbered.setdefault(tuple(words), {})[int(number)] = name
+    for before, columns in numbered.items():
+        word = axis_of(" ".join((*before, "x")))
+        if word is not None and set(columns) in _VECTORS:
+            yield word, dict(enumerate(name for _, name in sorted(columns.items())))
+
+
+def _numbers_apart(words: Sequence[str]) -> list[str]:
+    """Return words with the numbers of sensors and axes apart, behind them."""
+    apart: list[str] = []
+    for word in words:
+        found = _WITH_NUMBER.match(word)
+        sensor, before, number, after = found.groups() if found else ("", "", "", "")
+        fits = bool(sensor in ACCELERATION | RATE if sensor else before) and not (before and after)
+        apart += [part for part in (sensor, before, after, number) if part] if fits else [word]
+    return apart
 
 
 def _with_gravity_apart(names: Sequence[str]) -> list[Axes]:
@@ -174,7 +209,7 @@ def axis_of(name: str) -> _Word | None:
 
 def split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
     """Return the axis and the words without it, of which one is the number of a sensor (`imu[1].x`)."""
-    number = [bracket] if bracket.isdigit() else []
+    number, words = [bracket] if bracket.isdigit() else [], _numbers_apart(words)
     for i in reversed(range(len(words))):
         if words[i] in ("x", "y", "z"):
             return _AXES[words[i]], [*words[:i], *words[i + 1 :], *number]
