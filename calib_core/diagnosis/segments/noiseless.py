@@ -14,7 +14,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.segments.noise_range import QUIETEST
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import step_at_rest
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -52,7 +52,7 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
     axes, sd = np.flatnonzero(alive), QUIETEST[samples.sensor] * np.sqrt(0.5 / period) * alive
     if not axes.size or (_own(samples.xyz, period) > FAINT * sd)[axes].any():
         return None
-    if any((comb_step(samples.xyz[:, axis]) or 0.0) > sd[axis] for axis in axes):
+    if any((step_at_rest(samples.xyz[:, axis]) or 0.0) > sd[axis] for axis in axes):
         return None
     rng = np.random.default_rng([len(samples), samples.sensor is Sensor.GYROSCOPE])
     away = sd * rng.normal(size=seen.mean.shape) / np.sqrt(np.maximum(seen.count, 1.0))[:, None]

@@ -261,7 +261,8 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
     restless = (
         f"{_counted(pieces, 'static interval')}, {LEAST_PIECES} are needed" if pieces < LEAST_PIECES else None
     )
-    yield Check(f"{sensor}_quantisation", sensor, few or restless)
+    constant = None if np.ptp(stream.samples.xyz, axis=0).any() else "its values never change"
+    yield Check(f"{sensor}_quantisation", sensor, few or restless or constant)
     hidden = "its values come in steps that hide the noise" if pieces else restless
     coarse = hidden if stream.steps.hides_noise() else None
     tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream)

@@ -96,10 +96,11 @@ def test_the_seconds_get_as_much() -> None:
     [
         turned(noise=3.0 * FAINT * SD),
         np.round(turned(noise=0.001) / 0.04) * 0.04,
+        0.04 * np.rint(0.2 * np.random.default_rng(2).normal(size=(3000, 3))),
         np.repeat(turned(noise=SD)[::4], 4, axis=0),
         np.full((3000, 3), 9.8),
     ],
-    ids=["noise", "steps", "held", "dead"],
+    ids=["noise", "steps", "few codes", "held", "dead"],
 )
 def test_one_with_noise_or_steps_or_no_change_is_left_as_it_is(xyz: Array) -> None:
     assert with_its_noise(xyz) is None

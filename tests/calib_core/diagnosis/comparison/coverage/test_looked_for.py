@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle, of_motion
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import direct_checks, obstacle, of_motion
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.effects.covariate import kind_of_column
 from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature, follows_time
@@ -54,3 +54,14 @@ def test_a_delay_that_turns_do_not_agree_about_is_not_compared() -> None:
     assert exam.delay is not None and [c.reason for c in of_motion(exam)] == [None, None]
     untold = replace(exam, delay=None, why_no_delay="its axes do not agree about it")
     assert [c.reason for c in of_motion(untold)] == ["its axes do not agree about it", None]
+
+
+def test_a_sensor_that_never_changes_shows_no_step() -> None:
+    """One of coarse steps that hide its noise reads as one without any noise: which it is nobody knows."""
+    n, rng = 20000, np.random.default_rng(1)
+    force, rate = np.tile([0.0, 0.0, 9.81], (n, 1)), rng.normal(0.0, 1e-3, (n, 3))
+    t = np.arange(n) / 25.0
+    exam = examine(Samples(Sensor.ACCELEROMETER, t, force), Samples(Sensor.GYROSCOPE, t, rate), sought=())
+    reasons = {c.effect: c.reason for c in direct_checks(exam)}
+    assert reasons["accel_quantisation"] == "its values never change"
+    assert reasons["gyro_quantisation"] is None
