@@ -63,15 +63,19 @@ def density(stream: Stream) -> Quantity | None:
     """Return the white noise by axis, log of densities in unit/sqrt(Hz); None where it is not shown.
 
     What is louder than any sensor's noise is a difference too, if it is as white and as strong in all rests.
-    Beneath steps larger than it, it is known roughly (`BENEATH_STEPS`).
+    Beneath steps larger than it, it is known roughly (`BENEATH_STEPS`): rests differ by where between two
+    steps they lie.
     """
     if stream.silent:
         return _density(stream, np.full(3, SILENT))
-    if stream.levels is None or not stream.levels.alike:
+    levels = stream.levels
+    if levels is not None and levels.white and stream.steps.blurs_level():
+        power = levels.pieces**2
+        mean = np.maximum(power.mean(axis=0), SILENT**2)
+        return _density(stream, np.sqrt(mean), np.hypot(BENEATH_STEPS, power.std(axis=0) / mean / 2.0))
+    if levels is None or not levels.alike:
         return None
-    rough = BENEATH_STEPS if stream.steps.blurs_level() else 0.0
-    errors = np.hypot(stream.levels.errors(), rough)
-    return _density(stream, np.maximum(stream.levels.values(), SILENT), errors)
+    return _density(stream, np.maximum(levels.values(), SILENT), levels.errors())
 
 
 def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quantity:
@@ -103,7 +107,7 @@ def _beneath_steps(stream: Stream, other: Quantity | None) -> Quantity | None:
     if other is None or other.none or not stream.still.pieces or not stream.steps.still_at_rest():
         return None
     least = stream.steps.most_hidden() * np.sqrt(2.0 / stream.still.rate)
-    return _density(stream, least) if (np.exp(other.value) > least).all() else None
+    return _density(stream, np.full(3, SILENT)) if (np.exp(other.value) > least).all() else None
 
 
 def imbalance(quantity: Quantity, axis: str) -> Measured:

@@ -50,6 +50,15 @@ def test_the_level_beneath_larger_steps_is_known_roughly() -> None:
     assert (off > 0.25).all() and (off < shown.sigma).all()
 
 
+def test_the_level_beneath_larger_steps_is_that_of_all_rests() -> None:
+    """Rests differ by where between two steps they lie: it was not compared, as if something shook them."""
+    stream = examine(stepped(0.32 * 0.03, 0.03, 3), None, sought=()).streams[0]
+    assert stream.levels is not None and not stream.levels.alike
+    shown = density(stream)
+    assert shown is not None
+    assert (np.abs(shown.value - np.log(0.32 * 0.03 / np.sqrt(RATE / 2.0))) < 0.5 * shown.sigma).all()
+
+
 def noise(kind: str) -> np.ndarray:
     """Return ten minutes of noise of 0.02 m/s^2, (n, 3)."""
     rng = np.random.default_rng(3)
@@ -204,12 +213,18 @@ def stepped(noise: float, step: float, seed: int) -> Samples:
 
 @pytest.mark.parametrize(
     ("noise", "step", "told"),
-    [(0.0, 0.01, True), (0.002, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False), (0.0, 0.0, True)],
+    [
+        *((0.0, 0.01, True), (0.002, 0.01, True), (0.0, 0.1, False), (0.01, 0.0, False), (0.0, 0.0, True)),
+        *((0.0, 0.04, True), (0.0085, 0.03, False)),
+    ],
 )
 def test_values_that_stay_on_one_step_lack_noise_that_would_move_them(
     noise: float, step: float, told: bool
 ) -> None:
-    """The recording's is 0.02 m/s^2: of less than a step of 0.1 nothing would be seen."""
+    """The recording's is 0.02 m/s^2: of less than a step of 0.1 nothing would be seen.
+
+    One that steps of 0.04 would just show agreed, and a third of a step was none beside twice as much.
+    """
     exams = examine(stepped(0.02, 0.0, 1), None, sought=()), examine(stepped(noise, step, 2), None, sought=())
     recorded, simulated = (side.get((LEVEL, "accel")) for side in of_both(exams))
     assert recorded is not None and not recorded.none
