@@ -220,6 +220,18 @@ def test_raw_counts_are_told_by_gravity_and_how_it_turns(
     assert "in deg/s (as gravity's direction turns)" in recording.notes[0]
 
 
+@pytest.mark.parametrize(("force", "rate"), [(1.0, 131.072), (1e3, 16.384), (16384.0, 1.0), (4096.0, 1.0)])
+def test_one_sensor_in_counts_says_nothing_of_the_other(tmp_path: Path, force: float, rate: float) -> None:
+    """Rates in counts beside g or mg were read as mdeg/s, those in deg/s beside counts left out."""
+    rows = phone("turning", scale=1.01) * [1e3, *[force / STANDARD] * 3, *[rate / DEGREE] * 3]
+    forms = ["%d", *["%.5f" if force == 1.0 else "%d"] * 3, *["%.4f" if rate == 1.0 else "%d"] * 3]
+    path = tmp_path / "log.csv"
+    np.savetxt(path, rows, forms, ",", header="millis,accX,accY,accZ,gyroX,gyroY,gyroZ", comments="")
+    gyroscope, true = read_all(path).gyroscope, phone("turning", scale=1.01)[:, 4:]
+    assert gyroscope is not None
+    np.testing.assert_allclose(gyroscope.xyz, true, rtol=0.01, atol=2e-3)
+
+
 def test_raw_rates_that_nothing_turns_by_are_left_out(tmp_path: Path) -> None:
     path = tmp_path / "mpu.csv"
     path.write_text(counts_of("still", 16384, 131.072))

@@ -120,13 +120,13 @@ def unit_of_rates(parts: Sequence[Part], axes: Axes, force: Unit) -> Unit | None
     """
     if axes.unit is not None:
         return Unit(_known(parts[-1].table.path, axes))
-    if force.name == "counts":
-        per_degree = counts_per_degree(turnings(*_first_samples(parts)))
-        if per_degree is None:
-            return None
-        return Unit(
-            "counts", f", {per_degree:.4g} in deg/s (as gravity's direction turns)", per_degree / DEGREE
-        )
+    whole = Probe(parts[-1].table).whole_numbers(axes)
+    per_degree = counts_per_degree(turnings(*_first_samples(parts))) if whole else None
+    if per_degree is not None:
+        said = f", {per_degree:.4g} in deg/s (as gravity's direction turns)"
+        return Unit("counts", said, per_degree / DEGREE)
+    if whole and force.name == "counts":
+        return None
     unit, said = rate_unit_shown(parts)
     if unit is not None:
         return Unit(unit, f" ({said})")
