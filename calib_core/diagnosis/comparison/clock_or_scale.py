@@ -62,15 +62,18 @@ def _with_clock(scale: Discrepancy, rates: Sequence[Difference], exam: Examinati
 
 
 def _common(difference: Difference) -> Measured | None:
-    """Return the scale that all axes have in common; None where they differ, or it may be nothing."""
-    one = np.eye(3).ravel()
-    apart = difference.covariance + np.diag(difference.recorded.tolerance**2)
-    weight = np.linalg.inv(apart)
+    """Return the scale that all axes have in common; None where they differ, or it may be nothing.
+
+    Misalignment is no clock's, and may be there as well.
+    """
+    one, own = np.ones(3), np.arange(0, 9, 4)
+    apart = (difference.covariance + np.diag(difference.recorded.tolerance**2))[np.ix_(own, own)]
+    weight, value = np.linalg.inv(apart), difference.value[own]
     error = float(1.0 / np.sqrt(one @ weight @ one))
-    value = float(one @ weight @ difference.value) * error**2
-    left = difference.value - value * one
+    common = float(one @ weight @ value) * error**2
+    left = value - common
     alike = log_tail(float(left @ weight @ left), one.size - 1) > ALIKE
-    return Measured(value, error) if alike and abs(value) > SURE * error else None
+    return Measured(common, error) if alike and abs(common) > SURE * error else None
 
 
 def _as_large(common: Measured, rate: Difference) -> bool:

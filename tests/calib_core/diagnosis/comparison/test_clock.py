@@ -76,7 +76,11 @@ def test_a_scale_alike_on_all_axes_may_be_the_clocks() -> None:
     alone = replace(recording.gyroscope, t_arrival=None)
     larger = replace(alone, xyz=frozen(1.02 * alone.xyz))
     larger_x = replace(alone, xyz=frozen([1.02, 1.0, 1.0] * alone.xyz))
-    cases = ((larger, False), (evenly_stamped(larger), True), (evenly_stamped(larger_x), False))
+    mixed = replace(larger, xyz=frozen(larger.xyz @ [[1.0, 0.0, 0.0], [0.02, 1.0, 0.0], [0.0, 0.0, 1.0]]))
+    cases = (
+        *((larger, False), (evenly_stamped(larger), True), (evenly_stamped(larger_x), False)),
+        (evenly_stamped(mixed), True),
+    )
     for gyroscope, may_be in cases:
         said = of_scale(replace(recording, gyroscope=gyroscope), simulation)
         assert bool(said.alternatives) is may_be
