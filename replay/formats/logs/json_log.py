@@ -17,6 +17,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.json_messages import one_by_one
 from stillcal.replay.formats.recognition.names.axes import find_axes
 from stillcal.replay.formats.recognition.names.containers import qualified
+from stillcal.replay.formats.recognition.names.stamps import find_stamps
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.json_records import Form, Records, form_of, read_document, read_records
 from stillcal.replay.formats.tables.json_table import JsonTable
@@ -27,6 +28,9 @@ MOST_DOCUMENT = 64 << 20
 
 _TIMED = ("t", "x", "y", "z")
 """Columns of an array of four that is called after a sensor."""
+
+_FEWEST_KEYED = 10
+"""Records alike from which an object's keys count them, rather than say what they are."""
 
 _BLOCK_RECORDS = 16384
 _FEWEST_RECORDS = 2
@@ -115,10 +119,24 @@ def _inner(value: Any, path: str = "", depth: int = 0) -> Iterator[tuple[str, An
 
 
 def _as_list(value: Any) -> Any:
-    """Return an object whose keys count from 0 as the list of its values."""
+    """Return an object whose keys count from 0 as the list of its values, and so one of many like records."""
     if isinstance(value, dict) and value and all(k == str(i) for k, i in zip(value, count(), strict=False)):
         return list(value.values())
-    return value
+    return value if not isinstance(value, dict) or len(value) < _FEWEST_KEYED else _keyed(value) or value
+
+
+def _keyed(records: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the records of an object with a key for each (Firebase); none where they are not alike.
+
+    The key is the time of records that have none.
+    """
+    kinds = {tuple(value) if isinstance(value, dict) else () for value in records.values()}
+    fields = kinds.pop() if len(kinds) == 1 else ()
+    if not fields:
+        return []
+    if find_stamps(fields):
+        return list(records.values())
+    return [{_TIMED[0]: key, **value} for key, value in records.items()]
 
 
 def _as_columns(document: dict[str, Any]) -> dict[str, Any]:

@@ -8,9 +8,10 @@ from collections.abc import Sequence
 
 from stillcal.replay.formats.recognition.names.axes import find_axes
 from stillcal.replay.formats.recognition.names.stamps import find_stamps
+from stillcal.replay.formats.recognition.names.units import is_unit
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
-from stillcal.replay.formats.tables.text import uncommented
+from stillcal.replay.formats.tables.text import quoted_cells, uncommented
 
 DELIMITERS = (";", "\t", "|", ",")
 """What may stand between cells, besides blanks; a comma may also be a decimal mark."""
@@ -72,9 +73,10 @@ def _may_be_header(row: str, line: str) -> bool:
     """Whether a line may name the columns of a row, though it names no axes that are known."""
     plain = uncommented(line)
     names, delimiter = split_as(row, plain), delimiter_of(row)
+    comment = plain != line or (line.startswith(";") and delimiter != ";")
     if _width(names) == _width(cells_of(row)):
-        return plain == line or bool(find_stamps(names))
-    return plain == line and delimiter != " " and line.count(delimiter) > 1
+        return not comment or bool(find_stamps(names))
+    return not comment and delimiter != " " and line.count(delimiter) > 1
 
 
 def cells_of(row: str) -> list[str]:
@@ -104,6 +106,44 @@ def header_place(lines: Sequence[str]) -> tuple[int, int]:
     return header, next(rows, first) - header - 1
 
 
+def names_in_parts(lines: Sequence[str]) -> tuple[int, list[str]] | None:
+    """Return where a header begins whose names are in parts, and the names; None where it is none.
+
+    The sensors may stand in a line above the axes, each over the first of its columns or over all, or in a
+    column before each x, y, z. The header ends where the rows begin.
+    """
+    first = first_row(lines) or 0
+    count = len(cells_of(lines[first])) if first else 0
+    split = {i: split_as(lines[first], uncommented(lines[i])) for i in range(first) if lines[i].strip()}
+    fitting = {i: cells for i, cells in split.items() if len(cells) == count}
+    if not fitting or any(map(find_axes, fitting.values())):
+        return None
+    top, *below = fitting.values()
+    units = [[f"[{cell}]" if is_unit(cell) else cell for cell in cells] for cells in below]
+    above = _filled(top) if below else top
+    names = [" ".join(filter(None, cells)) for cells in zip(above, *units, strict=True)]
+    names = names if below else _after_titles(names)
+    return (next(iter(fitting)), names) if find_axes(names) else None
+
+
+def _filled(cells: Sequence[str]) -> list[str]:
+    """Return cells, an empty one as the one before it."""
+    found: list[str] = []
+    for cell in cells:
+        found.append(cell or (found[-1] if found else ""))
+    return found
+
+
+def _after_titles(names: Sequence[str]) -> list[str]:
+    """Return names, those of axes that come again with the name before them that is no axis."""
+    title, found = "", list[str]()
+    for name in names:
+        is_axis = name.lower() in {"x", "y", "z"} and list(names).count(name) > 1
+        title = title if is_axis else name
+        found.append(f"{title}.{name}" if is_axis else name)
+    return found
+
+
 def looks_like_a_table(lines: Sequence[str]) -> bool:
     """Whether lines of text hold a row of numbers, or a header that names a sensor's axes."""
     names = ([cell.strip().strip('"') for cell in re.split(r"[;,|\t ]", uncommented(line))] for line in lines)
@@ -118,7 +158,10 @@ def _width(cells: Sequence[str]) -> int:
 def split_as(row: str, line: str) -> list[str]:
     """Return a line's cells, split as those of a row of numbers are."""
     delimiter = delimiter_of(row)
-    return line.split() if delimiter == " " else [cell.strip().strip('"') for cell in line.split(delimiter)]
+    if delimiter == " ":
+        return line.split()
+    cells = quoted_cells(line, delimiter) if '"' in line else line.split(delimiter)
+    return [cell.strip().strip('"') for cell in cells]
 
 
 def with_units(names: Sequence[str], units: Sequence[str]) -> list[str]:

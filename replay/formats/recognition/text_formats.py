@@ -21,6 +21,7 @@ from stillcal.replay.formats.recognition.header import (
     described_place,
     first_row,
     header_place,
+    names_in_parts,
     split_as,
     stated_rate,
     unnamed_place,
@@ -99,6 +100,14 @@ def _of_lines(lines: list[str], whole: bool) -> TextFormat:
         if unnamed or form.names is not None:
             placed = msgspec.structs.replace(form.column_map, skip_lines=first)
             return replace(form, column_map=placed, rate_hz=stated_rate(lines[:first]))
+    in_parts = names_in_parts(lines)
+    if in_parts is not None:
+        place, names = in_parts
+        form = _with_header([line for line in lines[place:] if line.strip()], whole=False)
+        rows = (first_row(lines) or 0) - place - 1
+        placed = msgspec.structs.replace(form.column_map, skip_lines=place, lines_after_header=rows)
+        if form.name == UNKNOWN:
+            return TextFormat(UNKNOWN, placed, names=names, rate_hz=stated_rate(lines[:place]))
     before, after = header_place(lines)
     filled = [line for line in lines[before:] if line.strip()]
     form = replace(

@@ -203,6 +203,13 @@ def test_own_columns_are_read_as_they_are(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.accelerometer.t, T)
 
 
+def test_records_with_a_key_each_are_read(tmp_path: Path) -> None:
+    keyed = {f"-N{i:05d}": record for i, record in enumerate(flat())}
+    assert_same(read(tmp_path, json.dumps({"device 7": {"readings": keyed}})))
+    by_time = {repr(record.pop("time")): record for record in flat()}
+    assert_same(read(tmp_path, json.dumps(by_time)))
+
+
 def test_a_list_for_each_sensor_is_read(tmp_path: Path) -> None:
     sensors = {
         "accelerometer": [{"t": t, **dict(zip("xyz", a, strict=True))} for t, a, _ in samples()],

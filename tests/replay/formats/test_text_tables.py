@@ -117,6 +117,37 @@ def test_facts_before_a_table_without_a_header_are_none(tmp_path: Path, lines: s
     assert_read(read(tmp_path, text(lines, DATA, mark)))
 
 
+PARTS = {
+    "the sensor once": "time,Accelerometer,,,Gyroscope,,\ns,X,Y,Z,X,Y,Z",
+    "with units": "time,acc,,,gyr,,\n,x,y,z,x,y,z\n[ms],[g],[g],[g],[deg/s],[deg/s],[deg/s]",
+    "the sensor always": ",acc,acc,acc,gyr,gyr,gyr\n,x,y,z,x,y,z",
+    "with the index's name": ",acc,acc,acc,gyr,gyr,gyr\n,x,y,z,x,y,z\ntime,,,,,,",
+}
+
+
+@pytest.mark.parametrize("header", PARTS.values(), ids=PARTS)
+def test_names_may_stand_in_two_lines(tmp_path: Path, header: str) -> None:
+    table = DATA / [1e-3, *[9.80665] * 3, *np.radians([1.0] * 3)] if "ms" in header else DATA
+    assert_read(read(tmp_path, text(f"facts\n{header}", table)))
+
+
+def test_titles_before_axes_that_come_again_are_theirs(tmp_path: Path) -> None:
+    """Such a header is written by a script that is often used for ROS bags (bag_to_csv)."""
+    header = "stamp,secs,nsecs,frame,orientation,x,y,z,w,angular_velocity,x,y,z,linear_acceleration,x,y,z"
+    rows = (
+        f",{17 + int(t)},{round(t % 1 * 1e9)},imu,,0,0,0,1,,{gyr},,{acc}"
+        for t, *values in DATA.tolist()
+        for acc, gyr in [[",".join(map(repr, half)) for half in (values[:3], values[3:])]]
+    )
+    assert_read(read(tmp_path, "\n".join([header, *rows, ""])))
+
+
+def test_quoted_names_may_hold_the_delimiter(tmp_path: Path) -> None:
+    header = NAMES.replace("time", '"Date Time, GMT-04:00"')
+    rows = (f"2024-03-05 10:11:{12 + t:09.6f}," + ",".join(map(repr, values)) for t, *values in DATA.tolist())
+    assert_read(read(tmp_path, "\n".join(['"Plot Title: 7"', header, *rows, ""])))
+
+
 def test_lines_that_describe_rows_of_several_kinds_are_no_header(tmp_path: Path) -> None:
     facts = "% ACCE;time(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2)\n% GYRO;time(s);Gyr_X;Gyr_Y;Gyr_Z"
     rows = (

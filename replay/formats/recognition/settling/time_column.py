@@ -35,6 +35,9 @@ _ALIKE = 2.0
 _FEWEST_STEPS = 3
 """Steps of the coarser column that the first rows must last, for the ratio to be known so well."""
 
+_NAMELESS = ("", "Unnamed: 0")
+"""How pandas calls the index of a table, which may be its time."""
+
 MOST_REPEATS = 0.5
 """Share of stamps that may repeat the one before: batches share one, but whole seconds are no clock."""
 
@@ -59,6 +62,12 @@ def time_of(
         if isinstance(found, TimeMap):
             return found, f"time {choice.column} in {_kind_of_time(table, probe, choice, found)}"
         unusable = unusable or found
+    for name in table.names or ():
+        choice = Stamps(name, "", None)
+        found = _in_column(table, probe, choice) if name in _NAMELESS else None
+        if isinstance(found, TimeMap):
+            how = _kind_of_time(table, probe, choice, found)
+            return found, f"time {name or 'of a column without a name'} in {how}"
     if rate_hz is not None:
         return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
     if unusable is not None:
