@@ -31,7 +31,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
-from stillcal.calib_core.diagnosis.comparison.without_name import is_course, may_be_had
+from stillcal.calib_core.diagnosis.comparison.without_name import by_its_driver, is_course, may_be_had
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 
@@ -115,7 +115,11 @@ def differences_of_samples(
         for finding in own:
             pair = partner(finding, own, others)
             if pair is not None and not is_course(finding):
-                both += _paired(finding, pair) if of_recording else []
+                why = by_its_driver(finding, exams[1 - other])
+                if of_recording and why is not None:
+                    unseen.append(NotCompared(finding.effect, finding.sensor, f"both: {why}"))
+                elif of_recording:
+                    both += _paired(finding, pair)
                 continue
             measured = step_of_other(finding, exams[other])
             measured = measured or _same_rate(finding, exams[1 - other], exams[other])

@@ -12,6 +12,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
 from stillcal.calib_core.diagnosis.comparison.linear.wanted import kind_of, proposed, wanted_of
 from stillcal.calib_core.diagnosis.effects.followed import follows_time
+from stillcal.calib_core.diagnosis.effects.unknown import SmoothCurve
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding
@@ -46,6 +47,17 @@ def is_course(finding: Finding) -> bool:
     slow = finding.effect == "unknown" and finding.where.band_hz == SLOW_BAND
     driver, comes_again = finding.where.driver, "period_s" in finding.parameters
     return slow and not comes_again and (driver in (NO_DRIVER, REST) or follows_time(driver))
+
+
+def by_its_driver(finding: Finding, own: Examination) -> str | None:
+    """Say why the size of what follows a driver in both is not compared; None where it can be.
+
+    A smooth curve without a name is known over the range in which its driver ran, and no further.
+    """
+    stated = next((s for s in own.statements if s.finding is finding), None)
+    if stated is None or stated.hypothesis is None or not isinstance(stated.hypothesis.effect, SmoothCurve):
+        return None
+    return f"it follows {finding.where.driver}, and how large it is goes with how that ran in each"
 
 
 def _wander(exam: Examination, sensor: str, other: Examination) -> float:

@@ -273,7 +273,10 @@ def _nameless(finding: Mapping[str, Any], recording: str, simulation: str, obser
         differ = f"{recording} and {simulation} differ by {what}{seen}; it follows {driver}."
         return " ".join(filter(None, (differ, observed, OF_EITHER)))
     shows = f"{owner} shows {what}{seen}; it follows {driver}."
-    return " ".join(filter(None, (shows, observed, f"{other} does not show it.")))
+    beside = f"{other} does not show it."
+    if finding["relation"] in ("too_small", "too_large") and finding["simulated"]:
+        beside = f"{other} shows it too, {_sizes(finding, 'simulated')}."
+    return " ".join(filter(None, (shows, observed, beside)))
 
 
 def _of_both(finding: Mapping[str, Any], recording: str, simulation: str, name: str | None) -> str:

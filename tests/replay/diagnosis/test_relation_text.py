@@ -248,6 +248,23 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     assert "amplitude up to 0.573 deg/s;" in statement(finding | {"parameters": many}, ("real.csv", BUILT_IN))
 
 
+def test_what_has_no_name_in_either_is_told_with_both_sizes() -> None:
+    sides = {
+        side: {
+            "amplitude": {"value": [size, 0.0, 0.0], "ci95": [[0.9 * size, 1.1 * size]] * 3, "unit": "rad/s"}
+        }
+        for side, size in (("parameters", 0.02), ("simulated", 0.01))
+    }
+    where = {"t_start": 0.0, "t_end": 60.0, "driver": "a vibration that comes and goes"}
+    finding = {
+        "effect": "unknown", "sensor": "gyro", "axes": ["x"], "relation": "too_small", "alternatives": [],
+        "where": where, "difference": {}, **sides,
+    }  # fmt: skip
+    said = statement(finding, ("real.csv", "sim.csv"))
+    assert said.endswith("comes and goes. sim.csv shows it too, amplitude x 0.573 ± 0.057 deg/s.")
+    assert "does not show it" not in said
+
+
 @pytest.mark.parametrize(
     ("said", "told"), [("The x axis is stuck at 0.3.", True), (only_unknown("(accel)", "samples"), False)]
 )
