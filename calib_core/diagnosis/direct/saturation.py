@@ -204,8 +204,31 @@ def _flat_top(values: Array, noise: float, least: float) -> Limit | None:
     if few or pile.mean() > MOST_PILED:
         return None
     on = size[pile]
+    if _stands_below(size, pile, least, width):
+        return None
     nats = sum(_by_excursions(signed, top, width) for signed in (values, -values))
     return Limit(float(np.median(on)), float(on.std() / np.sqrt(on.size)), nats)
+
+
+def _stands_below(size: Array, pile: NDArray[np.bool_], least: float, width: float) -> bool:
+    """Whether values stand still below the largest ones as often as there, and as long.
+
+    Then what moves the axis stops at a speed of its own, as a motor does. A limit is the only value at which
+    clipped motion stands still.
+    """
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - the daemon stays light
+
+    lasts = _lengths(pile)
+    n = int(np.median(lasts[lasts > 1]))
+    span = maximum_filter1d(size, n) - minimum_filter1d(size, n)
+    still = (span < 2.0 * width) & (size > least) & (size < float(size.max()) - 6.0 * width)
+    return _lengths(still).size >= lasts.size
+
+
+def _lengths(on: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return how many samples each run of `on` has."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
+    return np.asarray(edges[1::2] - edges[::2])
 
 
 def _by_excursions(signed: Array, limit: float, width: float) -> float:

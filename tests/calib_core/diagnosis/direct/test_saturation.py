@@ -117,3 +117,22 @@ def test_each_end_of_the_axes_that_stops_at_one_value_counts_though_each_was_the
     assert found is not None and found.axes == ["x", "y", "z"]
     assert found.parameters["limit"].value == pytest.approx(1.4, abs=1e-4)
     assert saturation(turned_about_each_axis(np.inf), "gyro", noise, None) is None
+
+
+def turned(rates: list[float], limit: float, seed: int = 1) -> Samples:
+    """Return a motor that turns one axis to and fro at each of the rates, clipped at a limit."""
+    rng, u = np.random.default_rng(seed), np.linspace(0.0, 1.0, 150)
+    up = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    once = np.concatenate([np.zeros(1500), up, np.ones(700), up[::-1]])
+    rate = np.clip(np.concatenate([sign * r * once for r in rates for sign in (1.0, -1.0)]), -limit, limit)
+    still = np.zeros_like(rate)
+    read = np.stack([rate, still, still], axis=1) + 1e-3 * rng.standard_normal((rate.size, 3))
+    return Samples.checked(Sensor.GYROSCOPE, np.arange(rate.size) / 100.0, np.round(read / 2e-4) * 2e-4)
+
+
+@pytest.mark.parametrize(("limit", "said"), [(10.0, False), (1.5, True)])
+def test_the_highest_speed_of_a_motor_is_no_limit(limit: float, said: bool) -> None:
+    """It stands still at its lower speeds too; what is clipped stands still at the limit alone."""
+    rates = [0.3, 1.0, 2.0, 3.5] * 4 if not said else [1.9, 2.4, 3.0, 3.5] * 4
+    found = saturation(turned(rates, limit), "gyro", np.full(3, 1e-3), None)
+    assert (found is not None) is said
