@@ -225,15 +225,16 @@ def _with_motion(
         motion = Shown([], why_none=OTHER_AXES)
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
-    turns = None if exam.exchanged else turns
+    turns, about = None if exam.exchanged else turns, None
     if affine is not None and turns is not None and in_turns:
-        of_turns = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
+        of_turns, about = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
         lasts = rms([t.duration for t in turns.turns])
         stated += beyond(unsure_tilt(stated, gravity, lasts), of_turns)
     return replace(
         exam,
         aligned=affine,
         turns=turns,
+        about_turns=about,
         statements=stated,
         delay=motion.delay,
         why_no_delay=motion.why_none,

@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Findi
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span, on_limits
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.relinearised import AboutTurns
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples
@@ -33,6 +34,7 @@ class Examination:
     spoiled: when readings are no measurement, as while a sensor is stuck.
     delay: s, of the gyroscope behind the accelerometer; None where motion does not tell one.
     why_no_delay: the reason then, "" where motion is too little to look for it.
+    about_turns: the turns without the effects that they show by name; None where they show none.
     memo: what was worked out of it once, by name.
     """
 
@@ -51,6 +53,7 @@ class Examination:
     spoiled: Sequence[Span] = ()
     delay: Measured | None = None
     why_no_delay: str = ""
+    about_turns: AboutTurns | None = None
     memo: dict[str, Any] = field(default_factory=dict, init=False, repr=False)
 
     def diagnosis(self, recording: str) -> Diagnosis:

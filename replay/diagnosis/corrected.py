@@ -26,6 +26,7 @@ from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
+from stillcal.calib_core.diagnosis.slow.relinearised import HALVINGS
 from stillcal.calib_core.diagnosis.slow.taken_off import Known
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.resample import temperature_at
@@ -180,7 +181,7 @@ def _added(
         return _scale(samples.xyz - biases.get(one.sensor, np.zeros(3)), one)
     if kind == "bias":
         return np.asarray(np.broadcast_to(one.difference.value, samples.xyz.shape))
-    return _by_physics(drivers, samples, one.difference)
+    return _by_physics(drivers, samples, one.difference, biases)
 
 
 def _new_line(one: Discrepancy) -> Finding | None:
@@ -230,8 +231,13 @@ def _on_clock(one: Discrepancy, own: tuple[float, float], other: tuple[float, fl
     return replace(one, recorded=replace(one.recorded, where=replace(where, t_start=start, t_end=end)))
 
 
-def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> Array | None:
-    """Return the response of an effect of the catalogue to the differing parameters; None without drivers."""
+def _by_physics(
+    drivers: _Drivers, samples: Samples, difference: Difference, biases: Mapping[str, Array]
+) -> Array | None:
+    """Return the response of an effect of the catalogue to the differing parameters; None without drivers.
+
+    What goes with the rate goes with the true one, without the simulation's own part of the effect.
+    """
     recorded = difference.recorded
     names, grid = tuple(part.name for part in recorded.parts), dict(recorded.reference)
     for effect in (*named_effects(), *drivers.of_columns(recorded.sensor), Arm()):
@@ -243,6 +249,12 @@ def _by_physics(drivers: _Drivers, samples: Samples, difference: Difference) -> 
         moments = drivers.at(samples, grid)
         if not effect.can_play(moments, grid):
             return None
+        if effect.in_turns and moments.rate is not None:
+            read = moments.rate - biases.get("gyro", np.zeros(3))
+            error = np.zeros_like(read)
+            for _ in range(HALVINGS):
+                moments = replace(moments, rate=read - error)
+                error = 0.5 * (error + effect.response(moments, grid) @ difference.simulated.value)
         return np.asarray(effect.response(moments, grid) @ difference.value)
     return None
 

@@ -67,13 +67,29 @@ class OffTurns:
         return np.asarray(sum(sums))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AboutTurns:
+    """The turns without named effects of the rate: what a linear fit of large ones must be made about.
+
+    affine: both sensors' parameters there; residuals: the turns; found, values: the effects that were taken
+    off the rates, and by how much (k,) each, SI.
+    """
+
+    affine: Aligned
+    residuals: SensorResiduals
+    found: Sequence[Hypothesis]
+    values: Sequence[Array]
+
+
 def about_effects(
     stated: Sequence[Stated],
     start: tuple[Aligned, SensorResiduals],
     rates: Rates,
     again: Callable[[Rates], tuple[Aligned, SensorResiduals | None]],
-) -> list[Stated]:
+) -> tuple[list[Stated], AboutTurns | None]:
     """Return the statements of turns with the sizes of named effects estimated about these effects.
+
+    With them come the turns without these effects; None where none has a name.
 
     start: the sensors' parameters and the turns that they were found in; rates: what was taken off the rates
     there; again: makes both of other rates.
@@ -81,16 +97,16 @@ def about_effects(
     named = [s for s in stated if s.finding.effect != "unknown" and s.hypothesis is not None]
     found = [s.hypothesis for s in named if s.hypothesis is not None]
     if not found:
-        return list(stated)
+        return list(stated), None
     others = [s.hypothesis for s in stated if s.hypothesis is not None and s not in named]
-    values = [s.sizes for s in named]
+    values = taken = [s.sizes for s in named]
     estimates: list[Estimate] = []
     (affine, residuals), known = start, start[1]
     for _ in range(ROUNDS):
         affine, made = again(OffTurns(rates, affine, known, found, values))
         if made is None:
-            return list(stated)
-        residuals = made
+            return list(stated), None
+        residuals, taken = made, values
         own = [residuals.hypothesis(h.effect, h.grid) for h in found]
         beside = [residuals.hypothesis(h.effect, h.grid) for h in others]
         estimates = [estimate(residuals, one, [h for h in [*own, *beside] if h is not one]) for one in own]
@@ -99,7 +115,8 @@ def about_effects(
             break
     whole = (replace(e, value=v) for e, v in zip(estimates, values, strict=True))
     sized = {id(s): _with_sizes(s.finding, e) for s, e in zip(named, whole, strict=True)}
-    return [replace(s, finding=sized.get(id(s), s.finding)) for s in stated]
+    about = AboutTurns(affine, residuals, found, taken)
+    return [replace(s, finding=sized.get(id(s), s.finding)) for s in stated], about
 
 
 def _with_sizes(finding: Finding, found: Estimate) -> Finding:

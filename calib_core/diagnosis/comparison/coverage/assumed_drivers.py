@@ -45,7 +45,7 @@ def warmed(simulated: Examination, recorded: Bins) -> Examination:
         turns=tuple(replace(t, temperature=float(course.at(t.t).mean())) for t in simulated.turns.turns),
     )
     sensors: list[SensorResiduals] = [replace(s, bins=_warmed(s.bins, course)) for s in simulated.sensors]
-    return replace(simulated, bins=bins, sensors=sensors, turns=turns)
+    return replace(simulated, bins=bins, sensors=sensors, turns=turns, about_turns=None)
 
 
 def columns_over(

@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
+from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import (
     Hypothesis,
     SensorResiduals,
@@ -33,6 +34,7 @@ from stillcal.calib_core.diagnosis.model.hypothesis import (
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
 from stillcal.calib_core.diagnosis.slow.about_force import about_point
 from stillcal.calib_core.diagnosis.slow.estimate import averaged
+from stillcal.calib_core.diagnosis.slow.relinearised import AboutTurns
 
 MODEL_ERROR = 0.03
 """Standard deviation of the model's own error in an effect's numbers, as a part of the largest of them:
@@ -78,7 +80,9 @@ def _fitted(
     reference_c: float | None,
     about: Mapping[str, float],
 ) -> list[Quantity]:
-    kind = kind_of(residuals)
+    kind, about_turns = kind_of(residuals), exam.about_turns
+    if kind == "turn" and about_turns is not None and _all_among(about_turns, residuals, wanted):
+        exam, residuals = replace(exam, aligned=about_turns.affine), about_turns.residuals
     if kind == "accel":
         # A large effect makes the constants of a linear fit false where it was not searched for.
         residuals = about_point(residuals, [h for w in wanted if (h := proposed(residuals, w)) is not None])
@@ -88,6 +92,9 @@ def _fitted(
     parts = rows_of(hypotheses)
     count = int(parts[-1][-1]) + 1
     value, covariance = _measured(free, hypotheses, _of_its_own(exam, residuals))
+    if about_turns is not None and residuals is about_turns.residuals:
+        for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
+            value[rows] += _taken_off(about_turns, hypothesis.effect)
     turned = at_reference(residuals, hypotheses, reference_c, about)
     roughly = np.zeros(count)
     for hypothesis, rows in zip(hypotheses[1:], parts[1:], strict=True):
@@ -111,6 +118,26 @@ def _fitted(
     return out
 
 
+def _all_among(about: AboutTurns, residuals: SensorResiduals, wanted: Sequence[Wanted]) -> bool:
+    """Whether every number of the effects that were taken off the turns is measured."""
+    effects = [h.effect for w in wanted if (h := proposed(residuals, w)) is not None]
+    measured = {place for effect in effects for place in _places(effect)}
+    return all(measured.issuperset(_places(h.effect)) for h in about.found)
+
+
+def _taken_off(about: AboutTurns, effect: Effect) -> Array:
+    """Return what was taken off the turns (k,) of an effect's numbers, SI; 0 of those that were not found."""
+    taken: dict[tuple[str, str, str, int], float] = {}
+    for hypothesis, values in zip(about.found, about.values, strict=True):
+        taken |= dict(zip(_places(hypothesis.effect), values.tolist(), strict=True))
+    return np.array([taken.get(place, 0.0) for place in _places(effect)])
+
+
+def _places(effect: Effect) -> list[tuple[str, str, str, int]]:
+    """Return what tells each number of an effect from others, whatever other numbers it has."""
+    return [(effect.name, effect.follows, p.name, i) for p in effect.parameters for i in range(p.count)]
+
+
 def _of_its_own(exam: Examination, residuals: SensorResiduals) -> list[tuple[Hypothesis, float]]:
     """Return what a recording alone has, a step or something unknown, and the probability that it has it.
 
@@ -119,13 +146,18 @@ def _of_its_own(exam: Examination, residuals: SensorResiduals) -> list[tuple[Hyp
     """
     looked_for = len(effects_in(residuals))
     return [
-        (s.hypothesis, posterior(s.finding.evidence.log_bayes_factor, looked_for))
+        (_in_these(residuals, s.hypothesis), posterior(s.finding.evidence.log_bayes_factor, looked_for))
         for s in exam.statements
         if s.hypothesis is not None
         and s.residuals is not None
         and kind_of(s.residuals) == kind_of(residuals)
         and not transferable(s.hypothesis)
     ]
+
+
+def _in_these(residuals: SensorResiduals, hypothesis: Hypothesis) -> Hypothesis:
+    """Return an effect as residuals have it: of turns others may be left out than where it was found."""
+    return residuals.hypothesis(hypothesis.effect, hypothesis.grid) if residuals.turns else hypothesis
 
 
 def _measured(

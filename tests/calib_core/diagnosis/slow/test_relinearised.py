@@ -68,7 +68,7 @@ def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
     first = estimate(residuals, residuals.hypothesis(RateNonlinearity(3), {}), [])
     if cubic > 1e-3:
         assert (first.value[3:] < cubic - 3.0 * first.sigma[3:]).any(), "as read, it is too small"
-    finding = about_effects([stated(residuals, first)], (affine, residuals), as_read, turned)[0].finding
+    finding = about_effects([stated(residuals, first)], (affine, residuals), as_read, turned)[0][0].finding
     told = finding.parameters["cubic"]
     sigma = np.diff(np.asarray(told.ci95), axis=1).ravel() / (2.0 * 1.96)
     assert (np.abs(np.asarray(told.value) - cubic) < 3.5 * sigma).all(), (told.value, sigma)

@@ -123,7 +123,7 @@ def assert_only_larger_turns_are_stated(
 ) -> None:
     """Turns show a small and a large effect, and the sensor one without a name: the large one counts."""
     smaller, larger = of_turns(1e-3), of_turns(0.5)
-    monkeypatch.setattr(diagnose, "about_effects", lambda *_: [smaller, larger])
+    monkeypatch.setattr(diagnose, "about_effects", lambda *_: ([smaller, larger], None))
     exam = examined(recording)
     assert ("unknown", sensor) in {(s.finding.effect, s.finding.sensor) for s in exam.statements}
     (stated,) = [s for s in exam.statements if s.finding.effect == SCALE.name]
