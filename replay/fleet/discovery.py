@@ -11,7 +11,7 @@ from stillcal.replay.formats.claims import beside
 from stillcal.replay.formats.columns import builtin_formats, load_map
 from stillcal.replay.formats.recognition.by_map import other_file
 from stillcal.replay.formats.recognition.candidates import is_one_recording, may_be_recording
-from stillcal.replay.formats.recognition.opened import AUTO
+from stillcal.replay.formats.recognition.opened import AUTO, stated_hz
 from stillcal.replay.formats.recognition.pairs import rates_file
 
 RESULTS = ("recordings.parquet", "findings.parquet")
@@ -99,8 +99,8 @@ def _other(path: Path, rules: Sequence[tuple[str, str]]) -> Path | None:
 
 
 def _rules(format: str) -> tuple[tuple[str, str], ...]:
-    """Return how names of accelerometers' files lead to those of gyroscopes; "auto": in any format."""
-    if format == AUTO:
+    """Return how names of accelerometers' files lead to gyroscopes'; "auto" or a rate: in any format."""
+    if format == AUTO or stated_hz(format) is not None:
         return tuple(dict.fromkeys(rule for name in builtin_formats() for rule in _rules(name)))
     gyroscope = load_map(format).gyroscope
     return gyroscope.other_file if gyroscope else ()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -35,6 +36,11 @@ Format: TypeAlias = str | Path | ColumnMap | None
 Reader = Callable[[Source, ColumnMap | None, Source | None], Log]
 """Opens a recording by a given column map, or by what is in it; the last argument is the gyroscope's file."""
 
+TableReader = Callable[[Source, ColumnMap | None, Source | None, float | None], Log]
+"""The same for a table; the last argument is its rate, Hz, where it has no time stamps."""
+
+_RATE = re.compile(r"(\d+(?:\.\d+)?) ?Hz", re.IGNORECASE)
+
 
 def kept(path: Path | str) -> Path | Source:
     """Return where a recording can be read more than once: a pipe's bytes, read to their end, else its path.
@@ -50,6 +56,8 @@ def open_log(path: Path | str | Source, format: Format = None, gyro: Path | None
         where = path.path if isinstance(path, Source) else input_name(path)
         raise without_samples(where)
     format = None if str(format) == AUTO else format
+    rate_hz = None if format is None else stated_hz(str(format))
+    format = format if rate_hz is None else None
     found = path if isinstance(path, Source) else kept(path)
     column_map = format if format is None or isinstance(format, ColumnMap) else load_map(format)
     if isinstance(found, Path) and found.is_dir():
@@ -67,10 +75,21 @@ def open_log(path: Path | str | Source, format: Format = None, gyro: Path | None
         raise TraceError(
             other.path, "is the recording itself", "leave --gyro out where it holds both sensors"
         )
-    log = _log(source, column_map, other)
+    if rate_hz is None:
+        log = _log(source, column_map, other)
+    elif kind in _TABLES:
+        log = _TABLES[kind](source, None, other, rate_hz)
+    else:
+        raise TraceError(source.path, f"is {kind}, which has its own times", "leave --format out")
     return (
         replace(log, notes=[f"{short_name(source.path)}: {source.said}", *log.notes]) if source.said else log
     )
+
+
+def stated_hz(format: str) -> float | None:
+    """Return the rate, Hz, that a format says a table without time stamps has (100Hz); None of another."""
+    found = _RATE.fullmatch(format)
+    return float(found[1]) if found and float(found[1]) > 0 else None
 
 
 def _refuse_gyro(gyro: Path | None, path: Path, kind: str) -> None:
@@ -182,7 +201,7 @@ def _first_of(names: list[str]) -> str:
     return ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
 
 
-_TABLES: dict[str, Reader] = {magic.TEXT: text_log, magic.JSON: json_log, magic.ECHO: echo_log}
+_TABLES: dict[str, TableReader] = {magic.TEXT: text_log, magic.JSON: json_log, magic.ECHO: echo_log}
 """The tables that a gyroscope's own file may go with."""
 
 _LOGS: dict[str, Callable[[Source], Log]] = {
@@ -192,8 +211,14 @@ _LOGS: dict[str, Callable[[Source], Log]] = {
     **{kind: partial(open_ros, kind=kind) for kind in (magic.ROS1, magic.ROS2, magic.MCAP)},
 }
 
+
+def _at_any_rate(reader: TableReader) -> Reader:
+    """Return the reader of tables whose rate nobody has said."""
+    return lambda source, column_map, gyro: reader(source, column_map, gyro, None)
+
+
 READERS: dict[str, Reader] = {
-    **_TABLES,
+    **{kind: _at_any_rate(reader) for kind, reader in _TABLES.items()},
     **{kind: _arrays(kind) for kind in (magic.PARQUET, magic.HDF5, magic.MATLAB)},
     **{kind: _self_described(kind, opened) for kind, opened in _LOGS.items()},
     magic.ZIP: _zip_log,

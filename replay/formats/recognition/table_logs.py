@@ -8,9 +8,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import msgspec
+
 from stillcal.daemon.system.files import short_name
 from stillcal.replay.formats.claims import written_by_stillcal
-from stillcal.replay.formats.columns import ColumnMap, load_map
+from stillcal.replay.formats.columns import ColumnMap, TimeMap, load_map
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.logs.arrays import mapped, open_arrays
 from stillcal.replay.formats.logs.betaflight import open_betaflight
@@ -51,11 +53,16 @@ from stillcal.replay.formats.tables.table import Table
 from stillcal.replay.formats.tables.text import NoRowsError, TextTable
 
 
-def text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
-    """Return the log of a text table, by the given map or the one that its first lines ask for."""
+def text_log(
+    source: Source, column_map: ColumnMap | None, gyro: Source | None, rate_hz: float | None = None
+) -> Log:
+    """Return the log of a text table, by the given map or the one that its first lines ask for.
+
+    rate_hz: of a table without time stamps.
+    """
     if column_map is not None:
         return by_map(source, TextFormat("", column_map), gyro, [])
-    form = text_format(source)
+    form = _at(text_format(source), rate_hz)
     source = form.source or source
     if form.name == GNSS_LOGGER:
         return open_gnss_logger(source)
@@ -79,6 +86,16 @@ def text_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) 
     return by_map(source, form, gyro, notes)
 
 
+def _at(form: TextFormat, rate_hz: float | None) -> TextFormat:
+    """Return a text table with the rate that it was said to have without time stamps."""
+    if rate_hz is None:
+        return form
+    column_map = form.column_map
+    if column_map.time.rate_hz is not None:
+        column_map = msgspec.structs.replace(column_map, time=TimeMap(rate_hz=rate_hz))
+    return replace(form, column_map=column_map, rate_hz=rate_hz, said="")
+
+
 def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
     """Return the log of a text table of unknown make. Raises TraceError."""
     if rates_alone(qualified(_axes_without_header(source, form) or [], _container(source))):
@@ -92,7 +109,9 @@ def _by_names(source: Source, form: TextFormat, gyro: Source | None) -> Log:
     return by_map(source, form, gyro, [])
 
 
-def json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
+def json_log(
+    source: Source, column_map: ColumnMap | None, gyro: Source | None, rate_hz: float | None = None
+) -> Log:
     """Return the log of JSON records, or of the arrays in one JSON object. Raises TraceError."""
     if source.local is not None and written_by_stillcal(source.local):
         what = "is a calibration, a store or a diagnosis that stillcal wrote, not a recording"
@@ -100,12 +119,14 @@ def json_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) 
     tables = json_tables(source)
     if not tables:
         return open_arrays(source, magic.JSON, column_map)
-    return _records_log(source, magic.JSON, tables, column_map, gyro)
+    return _records_log(source, magic.JSON, tables, column_map, gyro, rate_hz=rate_hz)
 
 
-def echo_log(source: Source, column_map: ColumnMap | None, gyro: Source | None) -> Log:
+def echo_log(
+    source: Source, column_map: ColumnMap | None, gyro: Source | None, rate_hz: float | None = None
+) -> Log:
     """Return the log of messages that ROS printed. Raises TraceError."""
-    return _records_log(source, magic.ECHO, _echo_tables(source), column_map, gyro)
+    return _records_log(source, magic.ECHO, _echo_tables(source), column_map, gyro, rate_hz=rate_hz)
 
 
 def _echo_tables(source: Source) -> dict[str, Callable[[], JsonTable]]:
@@ -129,10 +150,15 @@ def _records_log(
     tables: dict[str, Callable[[], JsonTable]],
     column_map: ColumnMap | None,
     gyro: Source | None,
+    *,
+    rate_hz: float | None,
 ) -> Log:
     """Return the log of tables of records, by the fields that hold them. Raises TraceError."""
     base = column_map or load_map("csv")
-    own = [OneSensor(_qualified(opened(), _container(source, name)), base) for name, opened in tables.items()]
+    own = [
+        OneSensor(_qualified(opened(), _container(source, name)), base, rate_hz)
+        for name, opened in tables.items()
+    ]
     if len(own) > 1 and column_map is None:
         sensors = settled_apart(own)
         if not sensors:
@@ -145,7 +171,7 @@ def _records_log(
         if column_map is None:
             refuse_devices_in_turn(opened())
         return Log(source.path, kind, mapped(table, base), beside=source.local)
-    rows = sensors_of_rows(opened, base)
+    rows = sensors_of_rows(opened, base, rate_hz)
     if rows:
         return Log(source.path, kind, rows, beside=source.local)
     log = _log_by_names(source, own[0], kind, gyro)

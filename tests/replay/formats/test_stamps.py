@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -179,3 +180,33 @@ def test_what_has_no_noise_is_no_gyroscope(tmp_path: Path) -> None:
     recording = read_all(path)
     assert recording.gyroscope is None
     assert "passed over, since a gyroscope has noise on all axes: 4 5 6" in recording.notes[0]
+
+
+@pytest.mark.parametrize(
+    "count", [{}, {"sample": texts(SECONDS * 100, ".0f")}, {"t": texts(SECONDS * 100, ".0f")}]
+)
+@pytest.mark.parametrize("said", ["100Hz", "100.0 hz"])
+def test_the_rate_of_a_table_without_time_stamps_is_said(
+    tmp_path: Path, count: dict[str, list[str]], said: str
+) -> None:
+    with pytest.raises(TraceError, match="--format 100Hz"):
+        read(tmp_path, count)
+    recording = read_all(tmp_path / "r.csv", said)
+    np.testing.assert_allclose(recording.accelerometer.t, SECONDS, atol=1e-9)
+    np.testing.assert_array_equal(recording.accelerometer.xyz, FORCE)
+    assert "no time stamps, 100 Hz as stated" in recording.notes[0]
+
+
+def test_a_rate_that_was_said_goes_for_json_and_before_one_that_is_assumed(tmp_path: Path) -> None:
+    rows = [dict(zip(("acc_x", "acc_y", "acc_z"), row, strict=True)) for row in FORCE.tolist()]
+    (tmp_path / "r.jsonl").write_text("\n".join(map(json.dumps, rows)))
+    turning = RNG.normal(0, 0.1, FORCE.shape)
+    (tmp_path / "r.txt").write_text(
+        "".join(f"{' '.join(map(repr, row))}\n" for row in np.hstack([FORCE, turning]).tolist())
+    )
+    for name in ("r.jsonl", "r.txt"):
+        t = read_all(tmp_path / name, "50Hz").accelerometer.t
+        np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)
+    (tmp_path / "r.bin").write_bytes(b"PK\x05\x06" + bytes(18))
+    with pytest.raises(TraceError, match="has its own times; leave --format out"):
+        read_all(tmp_path / "r.bin", "50Hz")

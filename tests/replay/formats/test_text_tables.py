@@ -87,7 +87,7 @@ def test_actigraphs_raw_data_are_read_at_the_rate_that_it_states(tmp_path: Path,
     recording = read(tmp_path, ACTIGRAPH + (f"{header}\n" if header else "") + rows)
     np.testing.assert_allclose(recording.accelerometer.xyz, DATA[:, 1:4], rtol=1e-9)
     np.testing.assert_allclose(recording.accelerometer.t, DATA[:, 0], atol=1e-9)
-    assert any("100 Hz as the file states" in note for note in recording.notes)
+    assert any("100 Hz as stated" in note for note in recording.notes)
 
 
 @pytest.mark.parametrize("lines", ["Update Rate: 100.0Hz\n", "Low-pass cutoff at 40 Hz\nODR = 100 Hz\n"])

@@ -69,11 +69,11 @@ def time_of(
             how = _kind_of_time(table, probe, choice, found)
             return found, f"time {name or 'of a column without a name'} in {how}"
     if rate_hz is not None:
-        return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as the file states"
+        return TimeMap(rate_hz=rate_hz), f"no time stamps, {rate_hz:.6g} Hz as stated"
     if unusable is not None:
         raise unusable
     what = "no column of time stamps found"
-    raise TraceError(table.path, what, "name one t (s), or give rate_hz in a column map (docs/formats.md)")
+    raise TraceError(table.path, what, "name one t (s), or say at how many Hz: --format 100Hz")
 
 
 def _kind_of_time(table: Table, probe: Probe, choice: Stamps, found: TimeMap) -> str:
@@ -108,7 +108,7 @@ def _in_column(table: Table, probe: Probe, choice: Stamps) -> TimeMap | TraceErr
     if choice.unit is not None or not _goes_forward(values):
         return None
     what = f"column {column!r} goes in steps of {_step(values):.4g}, which shows no unit of time"
-    remedy = "say the unit in its name (time_s, time_ms, time_us), or in a column map (docs/formats.md)"
+    remedy = "say the unit in its name (time_s, time_ms, time_us); of a count say the rate: --format 100Hz"
     return TraceError(table.path, what, remedy)
 
 
