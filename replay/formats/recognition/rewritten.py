@@ -16,6 +16,7 @@ from functools import partial
 from stillcal.replay.formats.recognition.header import delimiter_of, split_as
 from stillcal.replay.formats.recognition.names.axes import find_axes
 from stillcal.replay.formats.recognition.names.units import is_unit
+from stillcal.replay.formats.recognition.sentences import sentences
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
@@ -45,17 +46,25 @@ Rewrite = Callable[[str], str]
 
 @dataclass(frozen=True, slots=True)
 class Rewritten:
-    """A text in cells. names: of its columns, where no line holds them. first: lines before its first row."""
+    """A text in cells. names: of its columns, where no line holds them. first: lines before its first row.
+
+    said: what was passed over.
+    """
 
     source: Source
     names: list[str] | None = None
     first: int = 0
+    said: str = ""
 
 
 def rewritten(source: Source) -> Rewritten:
     """Return a text in cells: itself, where it is so already. Raises TraceError where it cannot be copied."""
     plain = plain_text(source)
     head = [line.rstrip("\r") for line in text_head(plain).split("\n")]
+    kinds = sentences(head)
+    if kinds is not None:
+        copy = copied_by_lines(plain, lambda line: kinds.kept(line.rstrip("\r")))
+        return Rewritten(copy, kinds.names, said=kinds.said)
     steps: list[Rewrite] = []
     looked_at = [(_without_stamps, _LOOKED_AT), (_without_ends, _LOOKED_AT), (_without_groups, -1)]
     for find, until in looked_at:

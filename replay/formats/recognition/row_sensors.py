@@ -68,7 +68,7 @@ def sensors_of_rows(
     """
     table = opened()
     place, called = _naming(table)
-    if place is not None or find_axes(table.names or []):
+    if place is not None or table.names is None or find_axes(table.names):
         refuse_devices_in_turn(table, place)
     if place is None:
         return []

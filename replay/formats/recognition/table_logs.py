@@ -78,7 +78,9 @@ def text_log(
     if form.name in SENSOR_LOGGER and called_otherwise(_container(source), "accelerometer"):
         form = replace(form, name=UNKNOWN)  # the app's files of other quantities have the same columns
     if form.name == UNKNOWN:
-        return _by_names(source, form, gyro)
+        log = _by_names(source, form, gyro)
+        first = [f"{short_name(source.path)}: {form.said}"] if form.said else []
+        return replace(log, notes=[*first, *log.notes])
     if form.name == "csv":
         refuse_devices_in_turn(TextTable(source, form.column_map))
     said = f" ({form.said})" if form.said else ""

@@ -80,10 +80,11 @@ def text_format(source: Source) -> TextFormat:
     text = rewritten(source)
     if text.names is not None:
         column_map = msgspec.structs.replace(_counted(","), skip_lines=text.first)
-        return TextFormat(UNKNOWN, column_map, names=text.names, source=text.source)
+        return TextFormat(UNKNOWN, column_map, text.said, text.names, source=text.source)
     head = text_head(text.source)
     whole = len(head) < (1 << 15) and not source.zipped
-    return replace(_of_lines([line.rstrip("\r") for line in head.split("\n")], whole), source=text.source)
+    form = _of_lines([line.rstrip("\r") for line in head.split("\n")], whole)
+    return replace(form, source=text.source, said=form.said or text.said)
 
 
 def _of_lines(lines: list[str], whole: bool) -> TextFormat:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -233,3 +234,53 @@ def test_a_board_s_settings_are_no_row(tmp_path: Path) -> None:
     rows = "\n".join(f"{t},{x},{y},{z}" for t, (x, y, z) in zip(MS, FORCE, strict=True))
     path.write_text(f"odr=100, range=8, gain=2\ntime_ms,acc_x,acc_y,acc_z\n{rows}\n")
     np.testing.assert_array_equal(read_all(path).accelerometer.xyz, FORCE)
+
+
+def summed(sentence: str) -> str:
+    """Return a sentence as NMEA 0183 frames it."""
+    check = 0
+    for letter in sentence:
+        check ^= ord(letter)
+    return f"${sentence}*{check:02X}"
+
+
+GPS = summed("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")
+SENTENCES = {
+    "VectorNav's among others": (
+        "",
+        lambda t, a, w: f"{t},{summed(f'VNYMR,+010.1,-002.2,+003.3,+0.1,+0.2,-0.3,{a},{w}')}\n{GPS}",
+    ),
+    "with a check sum": ("", lambda t, a, w: summed(f"IMU,{t},{a},{w}")),
+    "with a header": ("$IMU,time_ms,ax,ay,az,gx,gy,gz\n", lambda t, a, w: f"$IMU,{t},{a},{w}\n$BAT,{t},3.9"),
+    "without the dollar": ("boot 1.2\n", lambda t, a, w: f"IMU,{t},{a},{w}\nGPS,{t},52.1,0.1"),
+    "ArduPilot's": (
+        "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+        "FMT, 135, 39, IMU, QBffffff, TimeUS,I,AccX,AccY,AccZ,GyrX,GyrY,GyrZ\n"
+        + "PARM, 1, A_B, 0.5\n"
+        * 3000,
+        lambda t, a, w: (
+            f"IMU, {t * 1000}, 0, {a}, {w}\nIMU, {t * 1000}, 1, 0.1,0.2,9.7, {w}\nBARO, {t * 1000}, 1.2"
+        ),
+    ),
+}
+
+
+@pytest.mark.parametrize(("before", "line"), SENTENCES.values(), ids=SENTENCES)
+def test_lines_that_begin_with_their_kind(
+    tmp_path: Path, before: str, line: Callable[[int, str, str], str]
+) -> None:
+    def cells(xyz: np.ndarray) -> str:
+        return ",".join(map(repr, xyz.tolist()))
+
+    rows = [line(int(t), cells(a), cells(w)) for t, a, w in zip(MS, FORCE, RATES, strict=True)]
+    path = tmp_path / "r.log"
+    path.write_text(before + "\n".join(rows) + "\n")
+    assert_read(path)
+    assert read_all(path).notes[0].startswith("r.log: lines of ")
+
+
+def test_lines_of_two_devices_are_not_read_as_one(tmp_path: Path) -> None:
+    rows = [f"IMU{i % 2},{t},{a[0]},{a[1]},{a[2]}" for i, (t, a) in enumerate(zip(MS, FORCE, strict=True))]
+    (tmp_path / "r.csv").write_text("\n".join(rows))
+    with pytest.raises(TraceError, match="rows of several devices in turn"):
+        read_all(tmp_path / "r.csv")
