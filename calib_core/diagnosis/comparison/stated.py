@@ -47,7 +47,7 @@ def concluded(
         *(discrepancy(d) for d in compared if differs(d)),
         *(sole_discrepancy(*one) for one in sure),
     ]
-    evidence = [(d.recorded.effect, d.log_bayes_factor) for d in compared]
+    evidence = [(_stated_as(d), d.log_bayes_factor) for d in compared]
     return Comparison(
         discrepancies=sorted(found, key=lambda d: -d.log_bayes_factor),
         agreed=with_unequal([d for d in agreed if d not in hidden]),
@@ -72,6 +72,11 @@ def told(compared: list[Difference], alone: list[Sole], missing: list[NotCompare
 def differs(difference: Difference) -> bool:
     """Whether it is sure that the two differ."""
     return difference.probability >= CERTAIN
+
+
+def _stated_as(difference: Difference) -> str:
+    """Return the effect that a difference is stated as, or what was compared."""
+    return discrepancy(difference).effect if differs(difference) else difference.recorded.effect
 
 
 def key_of(difference: Difference) -> Key:

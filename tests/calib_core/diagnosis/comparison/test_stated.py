@@ -82,3 +82,21 @@ def test_what_only_the_simulation_has_is_where_the_simulation_shows_it() -> None
     said = concluded(pairs, [], [], NAMES, among=20, checks=20, had={("gyro_bias_temperature", "gyro")})
     (found,) = said.discrepancies
     assert (found.relation, found.where) == ("superfluous", its_own)
+
+
+def densities(*value: float) -> Quantity:
+    """Return densities of an accelerometer's white noise as one recording shows them."""
+    return Quantity(
+        "noise_level", "accel", (Part("density", "m/s^2/sqrt(Hz)", 3),), np.log(value), 1e-4 * np.eye(3),
+        np.full(3, 1.0), np.full(3, 0.02), np.arange(3), logarithmic=True,
+        where=Where(0.0, 600.0, (0.0, 50.0), "noise at rest"),
+    )  # fmt: skip
+
+
+def test_the_evidence_of_a_noise_that_differs_on_one_axis_has_the_name_of_its_statement() -> None:
+    """What could not be put in counts in neither p by that name: noise on one axis alone counted in both."""
+    pairs = weighed([subtract(densities(1e-3, 1e-3, 1e-3), densities(1e-3, 2.5e-3, 1e-3))], 20)
+    said = concluded(pairs, [], [], NAMES, among=20, checks=20)
+    (found,) = said.discrepancies
+    assert found.effect == "noise_unequal_axes"
+    assert said.p() < 1e-6 and said.p([found.effect]) == 1.0
