@@ -15,7 +15,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.effects.catalogue import named_effects
 from stillcal.calib_core.diagnosis.effects.covariate import CovariateBias, covariate_effects
@@ -249,14 +249,20 @@ def _by_physics(
         moments = drivers.at(samples, grid)
         if not effect.can_play(moments, grid):
             return None
-        if effect.in_turns and moments.rate is not None:
+        own_part, change = _numbers(difference.simulated), _numbers(recorded) - _numbers(difference.simulated)
+        if effect.in_turns and effect.sensor == "gyro" and moments.rate is not None:
             read = moments.rate - biases.get("gyro", np.zeros(3))
             error = np.zeros_like(read)
             for _ in range(HALVINGS):
                 moments = replace(moments, rate=read - error)
-                error = 0.5 * (error + effect.response(moments, grid) @ difference.simulated.value)
-        return np.asarray(effect.response(moments, grid) @ difference.value)
+                error = 0.5 * (error + effect.response(moments, grid) @ own_part)
+        return np.asarray(effect.response(moments, grid) @ change)
     return None
+
+
+def _numbers(quantity: Quantity) -> Array:
+    """Return the numbers (k,) of a quantity, also where it holds their logarithms."""
+    return np.exp(quantity.value) if quantity.logarithmic else quantity.value
 
 
 @dataclass(frozen=True, eq=False)

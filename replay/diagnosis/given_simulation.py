@@ -37,6 +37,9 @@ Correct = Callable[[Comparison, dict[str, Any]], Corrected]
 ON_VALUES = (*OF_DENSITY, "saturation", "quantisation", "held_samples", "bandwidth", "time_offset")
 """Effects, by the end of their names, that change a sensor's noise at rest, its single values or its time."""
 
+OF_SAMPLES = (LINE, "lever_arm")
+"""What single samples show, and not how they are rounded."""
+
 
 def judge_simulation(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
     """Compare a recording with a simulation's. Raises NotSupported where either has too little data."""
@@ -188,7 +191,8 @@ def with_own_values(measured: Examination, simulated: Examination, changed: Coll
     own = {s.sensor: s for s in simulated.streams if s.sensor not in changed}
 
     def anew(one: Stated) -> bool:
-        return one.hypothesis is not None or one.finding.sensor in changed or one.finding.effect == LINE
+        found = one.finding
+        return one.hypothesis is not None or found.sensor in changed or found.effect in OF_SAMPLES
 
     return replace(
         measured,

@@ -12,10 +12,13 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, Re
 from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.calib_core.diagnosis.segments.static_bins import overview_of
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.given_simulation import with_own_values
 from stillcal.replay.diagnosis.sample_changes import low_passed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
@@ -403,3 +406,32 @@ def test_stamps_jitter_as_far_as_the_recordings_and_stay_in_order() -> None:
     assert np.array_equal(stamps, done.recording.gyroscope.t), "both are read together"
     wild = correct(whole, [less("timestamp_jitter", "timing", 0.1, 1e-3)], {}).recording.accelerometer.t
     assert (np.diff(wild) >= 0.0).all()
+
+
+@pytest.mark.parametrize("logarithmic", [False, True])
+def test_an_arm_is_put_in_by_the_rate_and_as_far_as_both_differ(logarithmic: bool) -> None:
+    """Of positions on the positive side of all axes the quantity has the logarithms."""
+    made = turned(5.0)
+    rate = made.gyroscope
+    assert rate is not None
+    arms = np.array([0.01, 0.08, 0.05]), np.array([0.01, 0.05, 0.03])
+    key, part = ("lever_arm", "accel"), (Part("position", "m", 3),)
+    had = [
+        Quantity(*key, part, np.log(x) if logarithmic else x, 1e-8 * np.eye(3), np.full(3, 1.0),
+                 np.full(3, 0.05), np.arange(3), logarithmic=logarithmic, where=EVERYWHERE)
+        for x in arms
+    ]  # fmt: skip
+    one = Discrepancy(*key, ["y", "z"], EVERYWHERE, "too_small", 1.0, 50.0, subtract(*had))
+    done = correct(made, [one], {})
+    added = done.recording.accelerometer.xyz - made.accelerometer.xyz
+    expected = of_arm(rate.t, rate.xyz) @ (arms[0] - arms[1])
+    np.testing.assert_allclose(added, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+
+
+def test_an_arm_is_looked_for_anew_in_a_corrected_simulation() -> None:
+    """It is told by single samples, and not by how these are rounded."""
+    exam = examine(turned(5.0).accelerometer, turned(5.0).gyroscope, sought=())
+    arm = Finding("lever_arm", "accel", ["x"], EVERYWHERE, {}, Evidence(50.0), [], "")
+    simulated, measured = replace(exam, statements=[Stated(arm)]), replace(exam, statements=[])
+    assert with_own_values(measured, simulated, set()).statements == []
+    assert [s.finding for s in with_own_values(simulated, measured, set()).statements] == [arm]
