@@ -140,13 +140,24 @@ def _keyed(records: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _as_columns(document: dict[str, Any]) -> dict[str, Any]:
-    """Return a table written as its columns' names and its rows (pandas: orient="split") by column."""
+    """Return a table written as its columns' names and its rows by column.
+
+    So do pandas (orient="split") and Edge Impulse's acquisition format, which has the time between rows too.
+    """
     names, rows = document.get("columns"), document.get("data")
+    rate: dict[str, Any] = {}
+    sensors, interval = document.get("sensors"), document.get("interval_ms")
+    if isinstance(sensors, list) and all(isinstance(s, dict) and "name" in s for s in sensors):
+        units = [str(s.get("units", "")).replace("/", " per ") for s in sensors]  # a slash parts groups
+        names = [f"{s['name']} [{unit}]" for s, unit in zip(sensors, units, strict=True)]
+        rows = document.get("values")
+        rate = {"samplingrate": 1e3 / interval} if isinstance(interval, int | float) and interval > 0 else {}
     if not isinstance(names, list) or not isinstance(rows, list) or not rows:
         return document
     if not all(isinstance(row, list) and len(row) == len(names) for row in rows):
         return document
-    return {str(name): list(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+    columns = {str(name): list(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}
+    return columns | rate
 
 
 def _in_blocks(records: list[dict[str, Any]], size_bytes: int) -> Iterator[Records]:

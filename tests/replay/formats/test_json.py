@@ -232,6 +232,19 @@ def test_data_frames_are_read(tmp_path: Path, form: str) -> None:
     assert_same(read(tmp_path, json.dumps(document)))
 
 
+def test_edge_impulses_format_is_read(tmp_path: Path) -> None:
+    sensors = [{"name": f"acc{axis}", "units": "m/s2"} for axis in "XYZ"]
+    sensors += [{"name": f"gyr{axis}", "units": "d/s"} for axis in "XYZ"]
+    values = np.column_stack([FORCE, np.degrees(RATE)]).tolist()
+    payload: Record = {"device_name": "7", "interval_ms": 10, "sensors": sensors, "values": values}
+    document = {"protected": {"ver": "v1", "alg": "none"}, "signature": "0", "payload": payload}
+    recording = read(tmp_path, json.dumps(document))
+    assert_same(recording)
+    del payload["interval_ms"]
+    with pytest.raises(TraceError, match="no column of time stamps"):
+        read(tmp_path, json.dumps(document))
+
+
 def test_nested_arrays_are_read(tmp_path: Path) -> None:
     document = {
         "t": T.tolist(),
