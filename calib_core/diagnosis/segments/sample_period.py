@@ -11,6 +11,9 @@ from stillcal.calib_core.maths.rms import rms
 HEELS = 0.5
 """Part of the mean interval below which a sample comes on the heels of the one before."""
 
+LEAST_HEELS = 0.4
+"""Part of the samples that come on the heels of another at least in bursts: one in two does of pairs."""
+
 ON_GRID = 0.15
 """Periods by which the intervals of stamps with gaps may be off a multiple of the period, rms."""
 
@@ -35,19 +38,19 @@ def intervals(t: Array) -> Array:
 def bunched(t: Array) -> bool:
     """Whether stamps t (n,) come in bursts, so that the usual interval says nothing of the rate.
 
-    Most samples then come on the heels of another, and the waits between bursts are no multiples of that
-    interval, or equal numbers of samples take equal times. Where samples are missing neither holds.
+    Half of the samples and more then come on the heels of another, and the waits between bursts are no
+    multiples of that interval, or equal numbers of samples take equal times. Where samples are missing
+    neither holds.
     """
     steps = intervals(t)
     if steps.size == 0:
         return False
-    middle = float(np.median(steps))
-    mean = float(steps.mean())
-    if middle >= HEELS * mean:
+    heel = float(np.quantile(steps, LEAST_HEELS))
+    if heel >= HEELS * float(steps.mean()):
         return False
-    waits = steps[steps > 1.5 * middle] / max(middle, 1e-12)
+    waits = steps[steps > 1.5 * heel] / max(heel, 1e-12)
     off = waits - np.rint(waits)
-    return middle <= 0.0 or waits.size == 0 or rms(off) > ON_GRID or _in_equal_times(steps, waits.size)
+    return heel <= 0.0 or waits.size == 0 or rms(off) > ON_GRID or _in_equal_times(steps, waits.size)
 
 
 def _in_equal_times(steps: Array, waits: int) -> bool:

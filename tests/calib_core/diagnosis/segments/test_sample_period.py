@@ -36,7 +36,7 @@ def test_stamps_in_bursts_have_the_rate_of_samples_over_time() -> None:
 def test_rounded_stamps_in_bursts_are_no_samples_that_are_missing(rounded: float, heel: float) -> None:
     """Five at a time, 1 ms apart, and 95 ms of waiting are no 1000 Hz of which 94 in 100 samples are lost."""
     rng = np.random.default_rng(3)
-    for size in (np.full(N // 5, 5), rng.integers(2, 8, N // 5)):
+    for size in (np.full(N // 5, 5), rng.integers(2, 8, N // 5), np.full(N // 2, 2)):
         last = np.repeat(np.cumsum(size), size)
         t = last / 50.0 - heel * (last - 1 - np.arange(last.size))
         t = rounded * np.rint(t / rounded)
