@@ -2,8 +2,8 @@
 
 Dates: 2026-03-01, 2026/3/1, 1.3.2026 (day first), 3/1/2026 (month first, unless the first number is none),
 and 01-Mar-2026; a year that stands last may have two digits. Times: 10:00:00.02, 10:00:00,020, 10:00:00:020,
-9:05:01.5 PM; without a date also 05:01.5, minutes and seconds. Without a date a time goes on past midnight,
-or past the hour.
+9:5:1.5 PM; up to three digits behind a colon are ms (10:0:0:5). Without a date also 05:01.5, minutes and
+seconds; a time then goes on past midnight, or past the hour.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from stillcal.calib_core.arrays import Array
 
 _DAY = r"(?P<day>\d{4}[-/.]\d\d?[-/.]\d\d?|\d\d?[-/.]\d\d?[-/.]\d\d(?:\d\d)?|\d\d?-[A-Za-z]{3}-\d\d(?:\d\d)?)"
 _DAY += r"(?:[T_]|,? )\s*"
-_CLOCK = r"(?P<one>\d{1,2}):(?P<two>[0-5]\d)(?::(?P<three>[0-5]\d))?(?:[.,:](?P<part>\d{1,9}))?"
+_CLOCK = r"(?P<one>\d{1,2}):(?P<two>[0-5]?\d)(?::(?P<three>[0-5]?\d))?(?:(?P<mark>[.,:])(?P<part>\d{1,9}))?"
 _WHOLE = re.compile(rf"\s*(?:{_DAY})?{_CLOCK}\s?(?P<half>[AaPp][Mm])?\s*(?P<zone>Z|[+-]\d\d:?\d\d)?\s*")
 _MONTHS = ("jan", "feb", "mar", "apr", "may", "jun", "jul", "aug", "sep", "oct", "nov", "dec")
 _EPOCH = date(1970, 1, 1).toordinal()
@@ -115,7 +115,10 @@ def _nanoseconds(cell: bytes, *, day_first: bool) -> int | None:
     if zone and zone != "Z":
         east = 3600 * int(zone[1:3]) + 60 * int(zone[-2:])
         seconds -= east if zone[0] == "+" else -east
-    return (days * _DAY_S + seconds) * 1_000_000_000 + int((part or "0").ljust(9, "0"))
+    counted = found["mark"] == ":" and len(part) <= len("999")
+    return (days * _DAY_S + seconds) * 1_000_000_000 + int(
+        f"{part}000000" if counted else (part or "0").ljust(9, "0")
+    )
 
 
 def _of_day(hours: int, minutes: int, seconds: int, half: str | None) -> int | None:

@@ -193,6 +193,15 @@ def test_dates_and_times_of_day_go_on_past_midnight(tmp_path: Path, pattern: str
     assert any(said in note for note in recording.notes)
 
 
+def test_milliseconds_behind_a_colon_are_counted(tmp_path: Path) -> None:
+    """10:0:9:5 is 5 ms after 10:00:09; it was read as half a second."""
+
+    def clock(at: datetime) -> str:
+        return f"{at.hour}:{at.minute}:{at.second}:{at.microsecond // 1000}"
+
+    assert_read(read(tmp_path, stamped(clock)))
+
+
 def test_times_of_day_go_on_from_block_to_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text_module, "BLOCK_BYTES", 4096)
     assert_read(read(tmp_path, stamped(lambda moment: moment.strftime("%H:%M:%S.%f"))))
