@@ -292,9 +292,9 @@ def test_damage_in_a_table_of_any_columns_is_not_laid_on_its_time(tmp_path: Path
     path.write_bytes(gzip.compress(content.encode())[:-20])
     with pytest.raises(TraceError, match=r"gzip data cut short.*; copy the recording again"):
         read_all(path)
-    path.write_text(content.replace("\n0.", "\n10:00:0."))
+    path.write_text(content.replace("\n0.", "\n10h00m0."))
     with pytest.raises(
-        TraceError, match=r"'10:00:0.0', which is not a number; give the time as.* or as a date"
+        TraceError, match=r"'10h00m0.0', which is not a number; give the time as.* or as a date"
     ):
         read_all(path)
 
