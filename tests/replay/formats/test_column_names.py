@@ -10,7 +10,7 @@ import pytest
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.names.stamps import find_stamps, find_thermometer
 from stillcal.replay.formats.trace import Recording, read_all
-from tests.support.log_files import DATA, text
+from tests.support.log_files import DATA, rows, text
 
 DEGREES = 180 / np.pi
 FORCE, RATE = DATA[:, 1:4], DATA[:, 4:]
@@ -190,6 +190,21 @@ def test_a_unit_that_is_not_known_is_not_guessed(tmp_path: Path, axes: str, unit
     header = ",".join(["t", *map(axes.format, "xyz")])
     with pytest.raises(TraceError, match=rf"in {unit}, which is no unit that is known; .*counts_per_unit"):
         read(tmp_path, header, DATA[:, 0], FORCE * per_si)
+
+
+@pytest.mark.parametrize(("unit", "per_si"), [("mrad/s", 1e3), ("mdeg/s", 1e3 * DEGREES)])
+@pytest.mark.parametrize("slower", [1, 4])
+def test_thousandths_of_rates_are_found_as_gravity_turns(
+    tmp_path: Path, unit: str, per_si: float, slower: int
+) -> None:
+    turning = rows(6000 // slower * slower, 100.0 * slower) if slower > 1 else DATA
+    t = turning[:, 0] * slower
+    header = "usec,xacc,yacc,zacc,xgyro,ygyro,zgyro"
+    rates = turning[:, 4:] / slower
+    recording = read(tmp_path, header, t * 1e6, turning[:, 1:4], rates * per_si)
+    assert recording.gyroscope is not None
+    np.testing.assert_allclose(recording.gyroscope.xyz, rates, rtol=1e-9)
+    assert f"in {unit}" in recording.notes[0]
 
 
 def test_turns_a_minute_are_not_taken_for_degrees(tmp_path: Path) -> None:

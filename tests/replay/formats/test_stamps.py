@@ -46,6 +46,8 @@ def texts(values: np.ndarray, form: str = ".9f") -> list[str]:
         ("Abszisse [s]", texts(SECONDS), 0.01),
         ("world time [s]", texts(SECONDS), 0.01),
         ("global_time", texts(SECONDS), 0.01),
+        ("unixtime", texts(1_700_000_000 + SECONDS), 0.01),
+        ("utime", texts(1.3e15 + SECONDS * 1e6, ".0f"), 0.01),
     ],
 )
 def test_the_unit_of_times(tmp_path: Path, name: str, stamps: list[str], step: float) -> None:
@@ -75,6 +77,13 @@ def test_a_messages_own_stamp_goes_before_the_time_of_recording(tmp_path: Path) 
     columns = {"%time": late, "field.header.seq": texts(SECONDS, ".0f"), "field.header.stamp": own}
     recording = read(tmp_path, columns, called="field.linear_acceleration.")
     np.testing.assert_allclose(np.diff(recording.accelerometer.t), 0.01, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["timestampms", "timems", "elapsedms", "time_millisec"])
+def test_a_unit_may_stand_close_to_the_time(tmp_path: Path, name: str) -> None:
+    recording = read(tmp_path, {name: texts(SECONDS * 1e3)})
+    np.testing.assert_allclose(recording.accelerometer.t, SECONDS)
+    assert f"time {name} in ms;" in recording.notes[0]
 
 
 def test_a_unit_of_time_alone_goes_behind_a_time(tmp_path: Path) -> None:

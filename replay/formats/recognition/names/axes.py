@@ -52,6 +52,9 @@ _WITH_NUMBER = re.compile(r"^([a-z]*?)([xyz]?)(\d+)([xyz]?)$")
 _VECTORS = ({0, 1, 2}, {1, 2, 3})
 """Numbers by which tools without axes call a vector's columns: `acc_1`, `acc_2`, `acc_3` (MATLAB)."""
 
+_AXIS_FIRST = re.compile(r"^([xyz])([a-z]{3,})$")
+"""As MAVLink has it: xacc, ygyro."""
+
 _AXIS_AT_END = re.compile(r"^([a-z]+?)([xyz])$")
 _TURN_IN_ONE = re.compile(r"^(roll|pitch|yaw)(rate|speed)$")
 
@@ -223,7 +226,17 @@ def split_axis(bracket: str, words: list[str]) -> tuple[int | None, list[str]]:
             return ATTITUDE[about], [*words[:i], "bodyrate", *words[i + 1 :], *number]
         if words[i] in BODY_RATES and len(words[i + 1 :]) <= 2:
             return BODY_RATES[words[i]], [*words[:i], "bodyrate", *words[i + 1 :], *number]
-        ends = _AXIS_AT_END.match(words[i])
-        if ends and ends[1] in (ACCELERATION | RATE):
-            return _AXES[ends[2]], [*words[:i], ends[1], *words[i + 1 :], *number]
+        sensor, axis = _joined(words[i])
+        if axis:
+            return _AXES[axis], [*words[:i], sensor, *words[i + 1 :], *number]
     return (_AXES[bracket], words) if bracket in _AXES else (None, words)
+
+
+def _joined(word: str) -> tuple[str, str]:
+    """Return the sensor and the axis that one word says, as `accx`, `xacc`; nothing of another word."""
+    ends, begins = _AXIS_AT_END.match(word), _AXIS_FIRST.match(word)
+    if ends and ends[1] in ACCELERATION | RATE:
+        return ends[1], ends[2]
+    if begins and begins[2] in ACCELERATION | RATE | {"axis"}:
+        return begins[2], begins[1]
+    return "", ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -18,6 +19,12 @@ from stillcal.replay.formats.recognition.names.vocabulary import (
     TIME,
 )
 from stillcal.replay.formats.recognition.names.words import cut
+
+_WITH_UNIT = re.compile(r"^(timestamp|time|stamp|elapsed|epoch)([mun]?s|[mun]?secs?|millis|micros|nanos)$")
+_OF_A_CLOCK = re.compile(
+    r"^(u|unix|utc|epoch|gps|sys|system|wall|local|host|phone|device|sensor|sample|boot|run|sim|ros)(time|timestamp)$"
+)
+"""Words that are two: `timestampms`, `unixtime`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +49,7 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
     found = []
     for place, name in enumerate(names):
         bracket, words = cut(name)
+        words = [part for word in words for part in _parts(word)]
         named = any(w in TIME for w in words)
         known = TIME_UNITS | (LONG_TIME_UNITS if named else {})
         units = [known[w] for w in (bracket, *words) if w in known]
@@ -57,6 +65,12 @@ def find_stamps(names: Sequence[str]) -> list[Stamps]:
             found.append((late, OF_MESSAGE not in words, place, stamps))
     alone = [stamps for *_, stamps in sorted(found, key=lambda f: f[:3])]
     return [both for stamps in alone for both in (*_with_fraction(stamps, alone), stamps)]
+
+
+def _parts(word: str) -> Sequence[str]:
+    """Return a word, or the two that it is."""
+    found = _WITH_UNIT.match(word) or _OF_A_CLOCK.match(word)
+    return found.groups() if found else (word,)
 
 
 def _with_fraction(seconds: Stamps, others: Sequence[Stamps]) -> list[Stamps]:

@@ -9,8 +9,8 @@ from stillcal.replay.formats.recognition.names.vocabulary import ACCELERATION, T
 
 TIME_UNITS: dict[str, Literal["s", "ms", "us", "ns"]] = {
     **dict.fromkeys(("s", "sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("ms", "msec", "msecs", "millis", "milliseconds", "millisecond"), "ms"),
-    **dict.fromkeys(("us", "µs", "usec", "usecs", "micros", "microseconds", "microsecond"), "us"),
+    **dict.fromkeys(("ms", "msec", "msecs", "millis", "millisec", "milliseconds", "millisecond"), "ms"),
+    **dict.fromkeys(("us", "µs", "usec", "usecs", "micros", "microsec", "microseconds", "microsecond"), "us"),
     **dict.fromkeys(
         ("ns", "nsec", "nsecs", "nanos", "nanosec", "nanosecs", "nanoseconds", "nanosecond"), "ns"
     ),

@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.formats.checks.axes import turnings
+from stillcal.replay.formats.checks.axes import Turning, turnings
 from stillcal.replay.formats.checks.units import DEGREE, shown_unit
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.columns import SensorMap
@@ -20,7 +20,7 @@ from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.log import Part
 from stillcal.replay.formats.recognition.names.axes import Axes
 from stillcal.replay.formats.recognition.names.units import KNOWN_UNITS
-from stillcal.replay.formats.recognition.settling.counts import counts_per_degree, counts_per_g
+from stillcal.replay.formats.recognition.settling.counts import EXPLAINED, counts_per_degree, counts_per_g
 from stillcal.replay.formats.recognition.settling.probe import PROBED_ROWS, Probe
 from stillcal.replay.formats.stream import SampleFile
 from stillcal.replay.formats.tables.table import Table
@@ -30,6 +30,9 @@ _GRAVITY_IN = {"m/s^2": (4.0, 16.0), "g": (0.4, 1.6), "mg": (400.0, 1600.0)}
 
 _LIKE_GRAVITY = 0.05
 """Share by which the median acceleration of a phone that rests now and then differs from gravity at most."""
+
+_THOUSANDTHS = {"mrad/s": 1e-3, "mdeg/s": 1e-3 * DEGREE}
+"""Smaller units of rates, in rad/s (MAVLink: SCALED_IMU; drivers for ST's chips)."""
 
 _FASTEST_RAD_S = 70.0
 """rad/s: 4000 deg/s, the widest range of consumer gyroscopes (Bosch BMI270 and its like measure 2000)."""
@@ -143,11 +146,20 @@ def rate_unit_shown(parts: Sequence[Part], fewest: int = 1) -> tuple[Any, str]:
     fastest = float(np.abs(gyroscope.xyz).max()) if len(gyroscope) else 0.0
     if fastest > np.degrees(_FASTEST_RAD_S):
         return "mdeg/s", "too fast for deg/s"
-    votes = Counter(map(shown_unit, turnings(accelerometer, gyroscope)))
+    spans = list(turnings(accelerometer, gyroscope))
+    votes = Counter(map(shown_unit, spans))
     if max(votes["deg/s"], votes["as stated"]) >= fewest and votes["deg/s"] != votes["as stated"]:
-        unit = "deg/s" if votes["deg/s"] > votes["as stated"] else "rad/s"
+        unit = _degrees_or_thousandths(spans) if votes["deg/s"] > votes["as stated"] else "rad/s"
         return unit, "as gravity's direction turns"
     return ("deg/s", "too fast for rad/s") if fastest > _FASTEST_RAD_S else (None, "")
+
+
+def _degrees_or_thousandths(spans: Sequence[Turning]) -> str:
+    """Return the unit of rates that are not rad/s: deg/s, unless a smaller one explains gravity's turning."""
+    degrees, none = (sum(span.misfit(k) for span in spans) for k in (DEGREE, 0.0))
+    left = {unit: sum(span.misfit(k) for span in spans) for unit, k in _THOUSANDTHS.items()}
+    best = min(left, key=lambda unit: left[unit])
+    return best if left[best] < EXPLAINED * min(degrees, none) else "deg/s"
 
 
 def _first_samples(parts: Sequence[Part]) -> tuple[Samples, Samples]:
