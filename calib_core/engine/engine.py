@@ -332,7 +332,7 @@ class Engine:
             self._plan(t)
             return
         if state.early_check is not None and t >= state.early_check:
-            state.check_due = state.check_due or early_check_due(state, t, self.settings.energy)
+            state.check_due = state.check_due or early_check_due(state, t)
             state.early_check = None
         if state.check_due:
             self._policy.check(t)

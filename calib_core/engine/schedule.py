@@ -11,12 +11,11 @@ from enum import StrEnum
 
 import numpy as np
 
-from stillcal.calib_core.engine.duty_cycle import EnergySettings
 from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
 from stillcal.calib_core.engine.state import EngineState
 from stillcal.calib_core.streams.samples import Sensor
 
-_LEAST_EARLY_S = 300.0
+_LEAST_EARLY_S = 120.0
 """s: two checks are at least so far apart."""
 
 UNCHARGED_INTERVALS = 4
@@ -169,10 +168,13 @@ def wandered_by(state: EngineState, t: float, settings: ScheduleSettings) -> flo
     return None
 
 
-def early_check_due(state: EngineState, t: float, energy: EnergySettings) -> bool:
-    """Tell whether a check is due at t (s) before its hour, and half of the budget is there to spend."""
-    saved = 0.0 if state.allowance is None else state.allowance.saved
-    return state.early_check is not None and t >= state.early_check and saved >= energy.burst_s / 2
+def early_check_due(state: EngineState, t: float) -> bool:
+    """Tell whether a check is due at t (s) before its hour, and any of the budget is left to spend.
+
+    A check takes some five seconds of the sensors, less than the budget earns from one to the next.
+    """
+    left = state.allowance is not None and state.allowance.saved > 0.0
+    return state.early_check is not None and t >= state.early_check and left
 
 
 def review_soon(state: EngineState, t: float, settings: ScheduleSettings) -> None:

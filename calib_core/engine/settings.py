@@ -42,7 +42,7 @@ class ScheduleSettings:
     diagnose_after_checks: how many checks in a row may fail after a new calibration before a diagnosis is
     asked for. learn_temperature: whether biases are learnt by temperature and time. wanted_force,
     wanted_rate: m/s^2 and rad/s; where a bias is expected to wander by more (1 sd) before the next check is
-    due, it is checked earlier, as far as half of the duty-cycle budget is saved up.
+    due, it is checked earlier, as long as any of the duty-cycle budget is left.
     """
 
     watch: Literal["auto", "continuous", "probing"] = "auto"
@@ -55,7 +55,7 @@ class ScheduleSettings:
     diagnose_after_checks: int = 3
     learn_temperature: bool = True
     wanted_force: float = 1e-3
-    wanted_rate: float = 2e-5
+    wanted_rate: float = 1e-5
 
     def __post_init__(self) -> None:
         for name in ("check_interval_s", "review_interval_s", "recalibrate_interval_s"):

@@ -99,10 +99,23 @@ def rotation_admitted(bias: Array, own_bound: Array, others: Sequence[RestState]
 
     own_bound: (3,) rad/s, by the rests that the bias was measured on, which may be of one attitude. others:
     rests in as many attitudes as are known, corrected for what the bias follows. Rotation cannot have moved
-    the bias from theirs by more than it is away from that.
+    the bias from theirs by more than it is away from that. Of each attitude the longest counts: hours in one
+    of them would otherwise make outliers of all the others.
     """
-    whole = bias_from_rests(others)
+    whole = bias_from_rests(_longest_by_attitude(others))
     return np.minimum(own_bound, whole.undetected_rotation_bound + np.abs(bias - whole.bias))
+
+
+def _longest_by_attitude(rests: Sequence[RestState]) -> list[RestState]:
+    """Return the longest of the rests of each attitude that have a rate."""
+    longest: dict[int, RestState] = {}
+    told = [r for r in rests if r.rate is not None]
+    for rest, label in zip(
+        told, attitude_labels(directions(forces(told)), _SAME_ATTITUDE).tolist(), strict=True
+    ):
+        if label not in longest or rest.duration > longest[label].duration:
+            longest[label] = rest
+    return list(longest.values())
 
 
 def _combined(known: BiasEstimate, fresh: BiasEstimate) -> BiasEstimate:

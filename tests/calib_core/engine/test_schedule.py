@@ -13,10 +13,12 @@ from stillcal.calib_core.engine.schedule import (
     Need,
     Occasion,
     calibration_due,
+    early_check_due,
     next_on_grid,
     watch_for,
 )
 from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
+from stillcal.calib_core.engine.state import EngineState
 
 AUTO = ScheduleSettings()
 BOTH, RESTS, CHECK, NOTHING = Need(True, True), Need(True, False), Need(False, True), Need(False, False)
@@ -40,6 +42,15 @@ def test_watch_follows_need_and_budget(
     need: Need, current: Watch, remaining_s: float, expected: Watch
 ) -> None:
     assert watch_for(need, current, remaining_s, 3600, AUTO) is expected
+
+
+@pytest.mark.parametrize(
+    ("t", "saved", "due"),
+    [(99.0, 3600.0, False), (100.0, 3600.0, True), (100.0, 1.0, True), (100.0, 0.0, False)],
+)
+def test_a_check_before_its_hour_takes_any_budget_that_is_left(t: float, saved: float, due: bool) -> None:
+    state = EngineState(early_check=100.0, allowance=DutyBudget(t, saved, 0.0))
+    assert early_check_due(state, t) is due
 
 
 @pytest.mark.parametrize("forced", ["continuous", "probing"])
