@@ -31,6 +31,9 @@ _LABELLED = re.compile(rf"(?<!\d\d:\d\d)(?<!\b\d\d)\s*[:=]\s*({_NUMBER})(?![\w.:
 _BETWEEN = re.compile(r"[\s,;|]+")
 _STAMPED = re.compile(r"^\s*(\d\d:\d\d:\d\d[.,]\d+)\s+->\s*")
 _LIST = re.compile(rf'"?[\[(]\s*((?:{_NUMBER})(?:(?:\s*,\s*|\s+)(?:{_NUMBER}))+)\s*[\])]"?', re.IGNORECASE)
+_AXIS = re.compile(r"(.*?)\s*\b([xyz])(\s*\[.*\])?", re.IGNORECASE)
+"""A name that ends with an axis, and its unit."""
+
 _IN_A_LIST = re.compile(r"[\s,]+")
 _GROUP_MARKS = ((",", r"\."), (r"\.", ","), ("['\u2019 ]|\xc2?\xa0|\xe2\x80\xaf|\u202f", "[.,]"))
 """Marks between thousands, with the decimal marks beside them; blanks that do not break, also as bytes."""
@@ -75,7 +78,11 @@ def rewritten(source: Source) -> Rewritten:
     labelled = [(i, found[0]) for i, line in enumerate(head[:_LOOKED_AT]) if (found := _labelled(line))]
     alike = [(i, names) for i, names in labelled if names == labelled[-1][1]]
     first, names = alike[0] if len(alike) > 1 else (0, None)  # one line of them says how the board is set
-    if names is not None:
+    in_turn = _in_turn(labelled)
+    if in_turn is not None:
+        first, names = in_turn[0][0], _joined_names([kind for _, kind in in_turn])
+        steps.append(_joined_lines([kind for _, kind in in_turn]))
+    elif names is not None:
         steps.append(_cells_of_labelled)
     else:
         lists = _without_lists(head)
@@ -193,7 +200,59 @@ def _labelled(line: str) -> tuple[list[str], list[str]] | None:
         names.append(" ".join(between))
     if names.pop() or not all(names):
         return None
-    return ["time"] * len(before[:1]) + names, before[:1] + numbers
+    return ["time"] * len(before[:1]) + _titled(names), before[:1] + numbers
+
+
+def _titled(names: Sequence[str]) -> list[str]:
+    """Return names, those of axes alone with what the first axis is called: `Accel X`, `Y`, `Z`.
+
+    A unit behind the third is that of all three.
+    """
+    found: list[str] = []
+    title = ""
+    for name in names:
+        axis = _AXIS.fullmatch(name)
+        title = title if axis and not axis[1] else axis[1] if axis else ""
+        found.append(f"{title} {name}" if title and axis and not axis[1] else name)
+        if len(found) >= _FEWEST and axis and axis[3] and not axis[1]:
+            found[-_FEWEST:-1] = [before + axis[3] for before in found[-_FEWEST:-1]]
+    return found
+
+
+def _in_turn(labelled: Sequence[tuple[int, list[str]]]) -> list[tuple[int, list[str]]] | None:
+    """Return the kinds of lines that make one reading, with the first place of each; None of one kind."""
+    kinds: list[tuple[int, list[str]]] = []
+    for place, names in labelled:
+        if all(names != other for _, other in kinds):
+            kinds.append((place, names))
+    order = [names for _, names in kinds]
+    turns = [names == order[i % len(order)] for i, (_, names) in enumerate(labelled)]
+    return kinds if len(kinds) > 1 and len(labelled) >= 2 * len(kinds) and all(turns) else None
+
+
+def _joined_names(kinds: Sequence[list[str]]) -> list[str]:
+    """Return the names of readings that stand in several lines; the time is that of the first line."""
+    first, *others = kinds
+    return [*first, *(name for names in others for name in names if name != "time")]
+
+
+def _joined_lines(kinds: Sequence[list[str]]) -> Rewrite:
+    """Return what joins the lines of a reading, as cells in the place of the last; others are emptied."""
+    waiting: list[list[str]] = []
+
+    def joined(line: str) -> str:
+        found = _labelled(line)
+        if found is None:
+            return ""
+        names, numbers = found
+        if names == kinds[0]:
+            waiting.clear()
+        if len(waiting) >= len(kinds) or names != kinds[len(waiting)]:
+            return line
+        waiting.append(numbers[1:] if waiting and names[0] == "time" else numbers)
+        return ",".join(cell for cells in waiting for cell in cells) if len(waiting) == len(kinds) else ""
+
+    return joined
 
 
 def _cells_of_labelled(line: str) -> str:

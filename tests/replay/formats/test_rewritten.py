@@ -29,6 +29,11 @@ LABELLED = {
     "|Gyr X:{w[0]}, Gyr Y:{w[1]}, Gyr Z:{w[2]} |Mag X:0.1, Mag Y:0.2, Mag Z:0.3",
     "a thermometer between": "t = {t} | AcX = {a[0]} | AcY = {a[1]} | AcZ = {a[2]} | Tmp = 25.1 "
     "| GyX = {w[0]} | GyY = {w[1]} | GyZ = {w[2]}",
+    "a title for three": "t: {t} | Accel: X={a[0]}, Y={a[1]}, Z={a[2]} | Gyro: X={w[0]}, Y={w[1]}, Z={w[2]}",
+    "a title and a unit for three": "t: {t} Acc X: {a[0]} Y: {a[1]} Z: {a[2]} m/s^2 "
+    "Gyr X: {w[0]} Y: {w[1]} Z: {w[2]} rad/s",
+    "two lines": "{t} Acceleration X: {a[0]}, Y: {a[1]}, Z: {a[2]} m/s^2\n"
+    "{t} Rotation X: {w[0]}, Y: {w[1]}, Z: {w[2]} rad/s\nTemperature: 29.87 degC\n",
     "a monitor's stamp": "10:00:0{s:.3f} -> ax:{a[0]} ay:{a[1]} az:{a[2]} gx:{w[0]} gy:{w[1]} gz:{w[2]}",
 }
 IN_CELLS = {
