@@ -47,9 +47,9 @@ def test_rounded_stamps_in_bursts_are_no_samples_that_are_missing(rounded: float
 
 
 def test_an_outage_now_and_then_makes_no_bursts() -> None:
-    """Two thirds of the samples are lost, some hundred at a time."""
+    """Two thirds of the samples are lost, some hundred at a time, or some ten."""
     rng = np.random.default_rng(4)
-    for on, off in ((100, 200), (20, 40)):
+    for on, off in ((100, 200), (20, 40), (4, 12)):
         runs = np.column_stack([rng.geometric(1 / on, 400), rng.geometric(1 / off, 400)]).ravel()
         t = np.flatnonzero(np.repeat(np.arange(runs.size) % 2 == 0, runs)) / 50.0
         assert not bunched(t) and sample_period(t) == pytest.approx(0.02, rel=1e-3)
