@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
+from stillcal.calib_core.diagnosis.segments.noiseless import MOVING
 from stillcal.calib_core.diagnosis.segments.rests.rest_edges import SHORTEST_BIN
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream
@@ -261,7 +262,8 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
     restless = (
         f"{_counted(pieces, 'static interval')}, {LEAST_PIECES} are needed" if pieces < LEAST_PIECES else None
     )
-    constant = None if np.ptp(stream.samples.xyz, axis=0).any() else "its values never change"
+    moves = bool(np.ptp(stream.samples.xyz, axis=0).max() > MOVING[stream.samples.sensor])
+    constant = "without noise and motion its values stay as they are" if stream.silent and not moves else None
     yield Check(f"{sensor}_quantisation", sensor, few or restless or constant)
     hidden = "its values come in steps that hide the noise" if pieces else restless
     coarse = hidden if stream.steps.hides_noise() else None
