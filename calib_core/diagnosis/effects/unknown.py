@@ -120,10 +120,11 @@ class SmoothCurve(Unknown):
     """
 
     def __init__(
-        self, sensor: str, follows: str, driver: curves.Driver, lags: Sequence[float] = (0.0,)
+        self, sensor: str, follows: str, of: str, driver: curves.Driver, lags: Sequence[float] = (0.0,)
     ) -> None:
+        """Take what it follows, and of which driver by whose name another effect goes that is."""
         super().__init__(sensor, follows, Linear("amplitude", UNIT[sensor], 3 * COSINES, SIZE[sensor]))
-        self.driver, self.lags = driver, lags
+        self.of, self.driver, self.lags = of, driver, lags
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return the correlation lengths and lags, where the driver changes."""
@@ -394,10 +395,10 @@ class GainByDirection(Unknown):
 def unknown_effects(sensor: str) -> list[Effect]:
     """Return the nameless effects of one sensor, in rests and in turns."""
     own: list[Effect] = [
-        SmoothCurve(sensor, "temperature's past or bend", curves.warmth, curves.LAGS),
-        SmoothCurve(sensor, "rate of heating", curves.heating, HEATING_WIDTHS),
-        SmoothCurve(sensor, "the past of charging", curves.plugged, curves.HEATS),
-        SmoothCurve(sensor, SHAKEN, curves.shaking),
+        SmoothCurve(sensor, "temperature's past or bend", "temperature", curves.warmth, curves.LAGS),
+        SmoothCurve(sensor, "rate of heating", "temperature", curves.heating, HEATING_WIDTHS),
+        SmoothCurve(sensor, "the past of charging", "charging", curves.plugged, curves.HEATS),
+        SmoothCurve(sensor, SHAKEN, SHAKEN, curves.shaking),
         Settling(sensor),
         AttitudeSquared(sensor),
     ]
