@@ -256,7 +256,11 @@ def _named_table(source: Source, form: TextFormat) -> TextTable:
     table = TextTable(source, form.column_map)
     if form.names is not None:
         table.names, table.width = form.names, len(form.names)
-        table.first_row = next(row for row in table.opening if len(row) == table.width)
+        first = next((row for row in table.opening if len(row) == table.width), None)
+        if first is None:
+            what = f"none of the first rows has {table.width} cells, as many as there are names"
+            raise TraceError(table.path, what, "correct the names, or give them in a column map")
+        table.first_row = first
     return table
 
 

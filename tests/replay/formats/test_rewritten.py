@@ -284,6 +284,13 @@ def test_lines_that_begin_with_their_kind(
     assert read_all(path).notes[0].startswith("r.log: lines of ")
 
 
+def test_described_lines_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    described, *parameters = SENTENCES["ArduPilot's"][0].split("\n", 2)[1:]
+    (tmp_path / "r.log").write_text("\n".join([described, "boot 1.2", described, *parameters]))
+    with pytest.raises(TraceError, match=r"none of the first rows has 8 cells"):
+        read_all(tmp_path / "r.log")
+
+
 def test_lines_of_two_devices_are_not_read_as_one(tmp_path: Path) -> None:
     rows = [f"IMU{i % 2},{t},{a[0]},{a[1]},{a[2]}" for i, (t, a) in enumerate(zip(MS, FORCE, strict=True))]
     (tmp_path / "r.csv").write_text("\n".join(rows))
