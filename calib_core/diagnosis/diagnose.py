@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.clear_bins import (
 )
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
+from stillcal.calib_core.diagnosis.direct.dead_zone import dead_zone
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -112,14 +113,25 @@ def examine(
     gyroscope = None if gyroscope is None else repeats.without_doubles(gyroscope)[0]
     doubled = repeats.doubled(accelerometer, twice + delivered_twice, _seen_in_all(accelerometer, overview))
     seconds = overview or overview_of(accelerometer, gyroscope)
+    as_read = {"accel": accelerometer, "gyro": gyroscope}
     accelerometer, gyroscope, seconds, silent = audible(accelerometer, gyroscope, seconds)
+    # The noise that is put in hides the gap about the value that a sensor reads at rest.
+    zones = [f for s, x in as_read.items() if s in silent and x is not None and (f := dead_zone(x, s))]
     bins = still_bins(accelerometer, gyroscope, events, seconds)
     made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled, silent=silent)
+    if zones:
+        made = replace(made, statements=[*map(Stated, zones), *_beside_zones(made.statements, zones)])
     progress(MEASURED)
     made = _with_slow(made, covariates, without, sought, progress)
     made = _with_motion(made, without, sound, in_turns=sought is None)
     made = _with_tilts(made, seconds) if sought is None else made
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
+
+
+def _beside_zones(statements: Sequence[Stated], zones: Sequence[Finding]) -> list[Stated]:
+    """Return what samples show beside dead zones: their edges are jumps, and may look like anything."""
+    sensors = {zone.sensor for zone in zones}
+    return [s for s in statements if s.finding.effect != "unknown" or s.finding.sensor not in sensors]
 
 
 def _of_samples(
@@ -225,7 +237,7 @@ def _with_motion(
         motion = Shown([], why_none=OTHER_AXES)
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
-    turns, about = None if exam.exchanged else turns, None
+    turns, about = None if exam.exchanged or exam.zone_at_rest else turns, None
     if affine is not None and turns is not None and in_turns:
         of_turns, about = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
         lasts = rms([t.duration for t in turns.turns])

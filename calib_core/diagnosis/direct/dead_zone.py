@@ -23,6 +23,8 @@ SPOILED = (
 )  # fmt: skip
 """What the noise that is left, and a value that repeats, cannot tell."""
 
+DRIVER = "inputs that are nearly none"
+
 LEAST_STEPS = 1.5
 """Steps of the values' grid to the nearest other value: from two on, a code between them is left out."""
 
@@ -31,6 +33,9 @@ LEAST_VALUES = 8
 
 LEAST_MET = 0.8
 """Part of the grid's values: what leaves out values everywhere is no zone."""
+
+MOST_STANDING = 0.9
+"""Part of the samples just beyond that repeat the one before, above which nothing passes there."""
 
 LEAST_VISITS = 5
 """Visits to the surroundings, on either side."""
@@ -52,7 +57,7 @@ def dead_zone(samples: Samples, sensor: str) -> Finding | None:
     width = float(np.median([zone.width for zone in zones.values()]))
     named, size = ", ".join(AXES[a] for a in zones), f"{width:.2g} {UNIT[sensor]}"
     say = f"Dead zone: the {NAME[sensor]} reads one constant value on {named} for inputs within {size} of it."
-    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "inputs that are nearly none")
+    where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), DRIVER)
     visits = [float(zone.visits) for zone in zones.values()]
     sizes = sized({"width": (width, UNIT[sensor]), "visits": (min(visits), "1")})
     seen = DirectEvidence(of_chance(-max(visits) * float(np.log(2.0)), 6.0))
@@ -71,7 +76,7 @@ def _zone(values: Array) -> Zone | None:
         away = side * (values - distinct[k])
         gap = float(away[away > 0.0].min())
         near = (away > 0.0) & (away <= 2.0 * gap)
-        if not _filled(np.unique(away[near]).size, gap, step):
+        if not _filled(np.unique(away[near]).size, gap, step) or _stands(values, near):
             return None
         visits.append(_visits(near))
         gaps.append(gap)
@@ -87,9 +92,20 @@ def _filled(met: int, gap: float, step: float | None) -> bool:
     return steps > LEAST_STEPS and met >= min(LEAST_VALUES, LEAST_MET * (np.rint(steps) + 1.0))
 
 
+def _stands(values: Array, near: NDArray[np.bool_]) -> bool:
+    """Whether values just beyond a gap do not change: a simulation jumps to its rates and back."""
+    both = near[1:] & near[:-1]
+    return bool(both.any()) and float((np.diff(values)[both] == 0.0).mean()) > MOST_STANDING
+
+
 def _visits(there: NDArray[np.bool_]) -> int:
     """Return how many runs of True begin in (n,) bool."""
     return int((there[1:] & ~there[:-1]).sum())
+
+
+def is_zone(finding: Finding) -> bool:
+    """Whether a finding is a dead zone."""
+    return finding.effect == "unknown" and finding.where.driver == DRIVER
 
 
 def beside(found: list[Finding], zone: Finding | None) -> list[Finding]:

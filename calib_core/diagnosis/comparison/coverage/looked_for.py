@@ -161,6 +161,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     column, moving = _of_columns(exam).get((effect, sensor), ("", True))
     yield not moving, f"{driver_of(column)} does not change at rest, so nothing can follow it"
     yield sensor == exam.exchanged, "its axes are exchanged"
+    yield effect in OF_TURNS and exam.zone_at_rest, "a dead zone hides what it reads at rest"
     yield from _of_rest(exam, sensor)
     if column:
         return

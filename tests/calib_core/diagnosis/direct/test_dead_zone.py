@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.dead_zone import beside, dead_zone
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from tests.support.diagnosis.turned_pairs import turned
 
 
 def zoned(values: np.ndarray, zero: float, width: float) -> np.ndarray:
@@ -68,3 +73,23 @@ def test_coarse_steps_dead_bits_limits_and_an_axis_that_reads_nothing_at_first_a
     for values in (coarse, bit, started, np.clip(fine, -0.3, 0.3)):
         samples = Samples.checked(Sensor.GYROSCOPE, np.arange(len(values)) / 50.0, values)
         assert dead_zone(samples, "gyro") is None
+
+
+def test_rates_that_a_simulation_jumps_to_are_no_dead_zone() -> None:
+    """Without any noise, and never between 0 and the slowest of them."""
+    rng = np.random.default_rng(2)
+    rates = rng.uniform(0.4, 1.6, (80, 3)) * rng.choice([-1.0, 1.0], (80, 3))
+    values = np.repeat(np.stack([np.zeros_like(rates), rates], axis=1).reshape(-1, 3), 100, axis=0)
+    assert dead_zone(Samples.checked(Sensor.GYROSCOPE, np.arange(len(values)) / 50.0, values), "gyro") is None
+
+
+def test_a_zone_wider_than_noise_and_bias_is_found_though_rests_have_no_noise() -> None:
+    """Such rests were given that of a quiet phone, which filled the zone; turns showed a nonlinearity."""
+    recording = turned(1, lambda force, rate: (force, rate), turns=40, rest=15.0)
+    gyro = recording.gyroscope
+    assert gyro is not None
+    gated = replace(gyro, xyz=frozen(zoned(gyro.xyz + np.array([0.004, -0.003, 0.002]), 0.0, 0.02)))
+    exam = examine(recording.accelerometer, gated)
+    zones = [s.finding for s in exam.statements if s.finding.sensor == "gyro"]
+    assert [(f.effect, f.where.driver) for f in zones] == [("unknown", "inputs that are nearly none")]
+    assert exam.turns is None and exam.zone_at_rest
