@@ -207,14 +207,15 @@ def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, 
     """Return both sides without the white noise and low-pass of a sensor that repeats many more values.
 
     Values that are repeated for one sample have more power at low and less at high frequencies. The cutoff
-    that they make goes with the sample rate: where both repeat many, that of the higher rate is left out, and
-    both where only one is told.
+    that they make goes with the sample rate: where both repeat many, that of the higher rate is left out.
+    Where only one shows such a cutoff, it is left out, and so is its noise, which is that before it.
     """
 
     def spoiled(side: Mapping[Key, Quantity], other: Mapping[Key, Quantity], key: Key) -> bool:
         shares = (one.get(("held_samples", key[1])) for one in (side, other))
         own, others = (0.0 if q is None or q.none else float(np.exp(q.value[0])) for q in shares)
-        unlike = key[0] == LOW_PASS and _made_unlike(side[key], other.get(key))
+        cutoffs = [one.get((LOW_PASS, key[1])) for one in (side, other)]
+        unlike = _alone(*cutoffs) or (key[0] == LOW_PASS and _of_higher_rate(*cutoffs))
         return own - others >= MANY or (own >= MANY and unlike)
 
     return [
@@ -223,10 +224,13 @@ def without_repeated(sides: Sequence[Mapping[Key, Quantity]]) -> list[dict[Key, 
     ]
 
 
-def _made_unlike(own: Quantity, other: Quantity | None) -> bool:
-    """Whether a cutoff is of a wider band than the other by more than cutoffs differ, or stands alone."""
-    if other is not None and own.none != other.none:
-        return True
+def _alone(own: Quantity | None, other: Quantity | None) -> bool:
+    """Whether one has a cutoff and the other has none."""
+    return own is not None and other is not None and not own.none and other.none
+
+
+def _of_higher_rate(own: Quantity | None, other: Quantity | None) -> bool:
+    """Whether a cutoff is of a wider band than the other by more than cutoffs differ."""
     ends = [q.where.band_hz[1] for q in (own, other) if q is not None and q.where is not None]
     return len(ends) == 2 and ends[0] > (1.0 + ALIKE_CUTOFF) * ends[1]
 

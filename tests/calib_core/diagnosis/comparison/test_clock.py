@@ -80,11 +80,13 @@ def test_a_scale_alike_on_all_axes_may_be_the_clocks() -> None:
     cases = (
         *((larger, False), (evenly_stamped(larger), True), (evenly_stamped(larger_x), False)),
         (evenly_stamped(mixed), True),
+        (by_a_fast_clock(evenly_stamped(larger), arrives=True, fast=0.0), False),
     )
     for gyroscope, may_be in cases:
         said = of_scale(replace(recording, gyroscope=gyroscope), simulation)
         assert bool(said.alternatives) is may_be
         assert ("the stamps of real.csv are even" in said.note) is may_be
+        assert ("samples that come 2 % faster than they say" in said.note) is may_be
     effects = compare(examined(stamped[True], sought=()), simulation, ("real.csv", "sim.csv")).discrepancies
     assert "gyro_scale" not in {d.effect for d in effects}
 

@@ -100,6 +100,16 @@ def test_the_low_pass_of_repeated_values_is_compared_at_one_rate_only() -> None:
     assert "repeat the one before" in {n.effect: n.reason for n in said.not_compared}["bandwidth"]
 
 
+def test_the_low_pass_of_repeated_values_is_not_compared_where_one_alone_shows_it() -> None:
+    """Of a sixth repeated some recordings have a cutoff near half the rate, and less noise behind it."""
+    exams = held(0.17, 1), held(0.17, 5)
+    assert [side[KEY].none for side in of_both(exams)] == [False, True]
+    said = compare_samples(exams, ("rec", "sim"))
+    assert said.discrepancies == []
+    whys = {n.effect: n.reason for n in said.not_compared}
+    assert all("repeat the one before" in whys[effect] for effect in ("bandwidth", "noise_level"))
+
+
 def test_the_noise_of_repeated_values_is_not_said_to_be_looked_at() -> None:
     whys = {c.effect: c.reason for c in direct_checks(held(0.2, 1)) if c.sensor == "accel"}
     for effect in ("noise_heavy_tailed", "bandwidth", "noise_unequal_axes"):
