@@ -120,6 +120,12 @@ def test_steps_show_no_unit_that_times_beside_them_contradict(tmp_path: Path, be
     assert "time node_timestamp in ms" in again.notes[0]
 
 
+def test_what_is_no_clock_contradicts_no_times(tmp_path: Path) -> None:
+    latency = texts(RNG.uniform(3, 400, N))
+    recording = read(tmp_path, {"timestamp": texts(SECONDS * 1e3, ".0f"), "latency [ms]": latency})
+    assert "time timestamp in ms" in recording.notes[0]
+
+
 @pytest.mark.parametrize("late", ["Phone timestamp [ms]", "Timestamp_RAW", "system time (ms)"])
 def test_the_sensors_own_times_go_before_anothers(tmp_path: Path, late: str) -> None:
     others = texts(np.sort(SECONDS + RNG.uniform(0, 0.02, N)) * 1000, ".0f")

@@ -121,7 +121,7 @@ def _contradicted(table: Table, choice: Stamps, found: TimeMap, known: Sequence[
     own = _first_seconds(table, choice.column, units[found.unit])
     for other in known:
         seconds = _first_seconds(table, other.column, 1.0 if other.unit is None else units[other.unit])
-        if other.column == choice.column or own.size != seconds.size or own.size < 2:
+        if other.column == choice.column or own.size != seconds.size or not _goes_forward(seconds):
             continue
         lasts, should = float(np.ptp(own)), float(np.ptp(seconds))
         steps = np.abs(np.diff(seconds))
