@@ -11,7 +11,7 @@ import numpy as np
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_vector, vector
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
-from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression
+from stillcal.calib_core.diagnosis.motion.block_regression import STRETCHES, Regression
 
 SIZES = (0.1, 0.03, 0.01)
 """m: prior standard deviations of an arm on each axis: of what holds a phone, half of it, a chip's place."""
@@ -27,13 +27,14 @@ def lever_arm(sums: Regression, apart: float, where: Where) -> Finding | None:
     """Find an arm, three columns, that windows agree on and that predicts those left out.
 
     apart: by what part of it frequencies and directions disagree, one standard error. A leg that swings as
-    its walker steps is no arm: it looks like another one at each.
+    its walker steps is no arm: it looks like another one at each. Windows of one walk are no trials of their
+    own: they are left out in stretches of the recording.
     """
-    arm, covariance, gain = sums.jackknifed(PARTS)
+    arm, covariance, gain = sums.jackknifed(STRETCHES, in_a_row=True)
     if gain < thresholds.LEVER_GAIN or apart > ALIKE:
         return None
     # A covariance from few windows may be far too narrow in some direction, hardly along an axis.
-    within = np.diag(covariance.diagonal() * _widened(min(PARTS, len(sums.power))) + LEAST_ARM**2)
+    within = np.diag(covariance.diagonal() * _widened(min(STRETCHES, len(sums.power))) + LEAST_ARM**2)
     error = np.hypot(np.sqrt(within.diagonal()), apart * arm)
     axes = [a for a in range(3) if abs(arm[a]) > thresholds.AXIS_SIGMA * error[a]]
     text = ", ".join(f"{100.0 * x:.1f}" for x in arm)
