@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import msgspec
 import numpy as np
 
+from stillcal.calib_core.gravity import STANDARD
 from stillcal.replay.formats.columns import (
+    TIME_UNITS,
     ColumnMap,
     SensorMap,
     TimeMap,
@@ -83,7 +86,8 @@ def text_format(source: Source) -> TextFormat:
         return TextFormat(UNKNOWN, column_map, text.said, text.names, source=text.source)
     head = text_head(text.source)
     whole = len(head) < (1 << 15) and not source.zipped
-    form = _of_lines([line.rstrip("\r") for line in head.split("\n")], whole)
+    lines = [line.rstrip("\r") for line in head.split("\n")]
+    form = _gyroflow(lines) or _of_lines(lines, whole)
     return replace(form, source=text.source, said=form.said or text.said)
 
 
@@ -126,6 +130,31 @@ def _of_lines(lines: list[str], whole: bool) -> TextFormat:
     told = with_units(names, units) if units != names else None
     name = REST if form.name == REST else UNKNOWN
     return TextFormat(name, placed, names=told, rate_hz=form.rate_hz)
+
+
+def _gyroflow(lines: list[str]) -> TextFormat | None:
+    """Return how a log of Gyroflow is read, by the values of one count that it states; None of another."""
+    names = next((i for i, line in enumerate(lines) if line.startswith("t,")), None)
+    if names is None or not lines[0].upper().endswith("IMU LOG"):
+        return None
+    stated = dict(line.split(",", 1) for line in lines[1:names] if "," in line)
+    try:
+        second, rate, force = (float(stated[key]) for key in ("tscale", "gscale", "ascale"))
+    except (KeyError, ValueError):
+        return None
+    unit: Any = {length: unit for unit, length in TIME_UNITS.items()}.get(second)
+    if unit is None or min(rate, force) <= 0:
+        return None
+    column_map = msgspec.structs.replace(
+        load_map("csv"),
+        time=TimeMap(column="t", unit=unit),
+        accelerometer=SensorMap(
+            columns=("ax", "ay", "az"), unit="counts", counts_per_unit=1 / (force * STANDARD)
+        ),
+        gyroscope=SensorMap(columns=("gx", "gy", "gz"), unit="counts", counts_per_unit=1 / rate),
+        skip_lines=names,
+    )
+    return TextFormat("Gyroflow's log", column_map)
 
 
 def _with_header(lines: list[str], *, whole: bool) -> TextFormat:

@@ -142,6 +142,16 @@ def test_titles_before_axes_that_come_again_are_theirs(tmp_path: Path) -> None:
     assert_read(read(tmp_path, "\n".join([header, *rows, ""])))
 
 
+def test_gyroflows_log_is_read_by_the_scales_that_it_states(tmp_path: Path) -> None:
+    facts = (
+        "GYROFLOW IMU LOG\nversion,1.3\nid,7\norientation,YxZ\ntscale,0.001\ngscale,0.001\nascale,0.0005\n"
+    )
+    counts = DATA[:, [0, 4, 5, 6, 1, 2, 3]] / [1e-3, *[1e-3] * 3, *[5e-4 * 9.80665] * 3]
+    assert_read(read(tmp_path, facts + text("t,gx,gy,gz,ax,ay,az", counts)))
+    with pytest.raises(TraceError, match="time stamps step by"):
+        read(tmp_path, facts.replace("ascale", "note") + text("t,gx,gy,gz,ax,ay,az", counts))
+
+
 def test_quoted_names_may_hold_the_delimiter(tmp_path: Path) -> None:
     header = NAMES.replace("time", '"Date Time, GMT-04:00"')
     rows = (f"2024-03-05 10:11:{12 + t:09.6f}," + ",".join(map(repr, values)) for t, *values in DATA.tolist())
