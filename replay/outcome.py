@@ -15,6 +15,7 @@ from stillcal.calib_core.engine.actions import Publish, Reject
 from stillcal.calib_core.gravity import STANDARD, Gravity
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.streams.beginning import Beginning
+from stillcal.daemon.store.document import StoreDocument
 from stillcal.daemon.store.files import StoreError, piped
 from stillcal.daemon.store.store import Store, StoreSettings
 from stillcal.daemon.system.files import input_name, is_read_once
@@ -26,24 +27,26 @@ _DEG = 180 / np.pi
 def keep_in_store(
     path: Path | str, actions: Iterable[Publish | Reject], settings: StoreSettings | None = None
 ) -> list[str]:
-    """Put the calibrations that a replay accepted and rejected into a store, in order.
+    """Put the calibrations that a replay accepted and rejected into a store, in order, by one write.
 
     Returns the store's notes, one line each. Raises StoreError where the store is damaged, or another process
     holds it.
     """
-    notes: list[str] = []
     with Store(path, settings) as opened:
-        before = _current(opened)
-        for action in actions:
-            change = opened.publish if isinstance(action, Publish) else opened.reject
-            notes += change(action.record, action.reason, action.t).notes
-        after = _current(opened)
-    return [*notes, *_lost_terms(before, after)]
+        before = opened.load_if_any()
+        outcome = opened.change(lambda document: _after(document, actions, opened.settings.history))
+    lost = _lost_terms(None if before is None else before.current, outcome.document.current)
+    return [*outcome.notes, *lost]
 
 
-def _current(store: Store) -> CalibrationRecord | None:
-    document = store.load_if_any()
-    return None if document is None else document.current
+def _after(document: StoreDocument, actions: Iterable[Publish | Reject], limit: int) -> StoreDocument:
+    """Return a store's contents after all actions. limit: entries that its history keeps."""
+    for action in actions:
+        if isinstance(action, Publish):
+            document = document.after_publishing(action.record, limit, action.reason, action.t)
+        else:
+            document = document.after_rejecting(action.record, action.reason, limit, action.t)
+    return document
 
 
 def _lost_terms(before: CalibrationRecord | None, after: CalibrationRecord | None) -> list[str]:

@@ -46,6 +46,7 @@ from stillcal.calib_core.engine.schedule import (
     CalibrationStatus,
     Occasion,
     calibration_due,
+    first_of_its_hour,
     wandered_by,
 )
 from stillcal.calib_core.engine.sensor_faults import is_deaf, sensor_faults, shows_enough, told
@@ -91,7 +92,8 @@ class CalibrationPolicy:
     def check(self, t: float) -> None:
         """Check the calibration on the rests since the last check, if there are any (4.7). t: s.
 
-        Whatever the accelerometer's check says, the gyroscope's bias is measured anew.
+        Whatever the accelerometer's check says, the gyroscope's bias is measured anew. The accelerometer's,
+        which moves less, is learnt anew by the first check of an hour and by one that fails.
         """
         state = self._state
         if state.record is None:
@@ -115,7 +117,8 @@ class CalibrationPolicy:
             self._degrade(t, wrong_since, check.accel_largest or 0.0)
         else:
             state.trouble = None
-        self._follow(t)
+        if state.degraded or first_of_its_hour(state, since, self._settings.schedule):
+            self._follow(t)
         state.early_check = wandered_by(state, t, self._settings.schedule)
 
     def inspect_sensors(self, t: float, silent: bool) -> None:

@@ -177,6 +177,13 @@ def early_check_due(state: EngineState, t: float) -> bool:
     return state.early_check is not None and t >= state.early_check and left
 
 
+def first_of_its_hour(state: EngineState, before: float | None, settings: ScheduleSettings) -> bool:
+    """Tell whether a check is the first since the last deadline for one; before: s, when the last one was."""
+    if before is None or state.next_check is None:
+        return True
+    return before < state.next_check - settings.check_interval_s
+
+
 def review_soon(state: EngineState, t: float, settings: ScheduleSettings) -> None:
     """Move the next review to within one interval of `t` (s), because a change from outside needs one."""
     if state.next_review is not None:

@@ -246,15 +246,15 @@ class Store:
 
     def publish(self, calibration: CalibrationRecord, reason: str = "", at: float | None = None) -> Outcome:
         """Make `calibration` the current one; the previous one goes into the history; reason and time (s)."""
-        return self._change(lambda d: d.after_publishing(calibration, self.settings.history, reason, at))
+        return self.change(lambda d: d.after_publishing(calibration, self.settings.history, reason, at))
 
     def reject(self, candidate: CalibrationRecord, reason: str, at: float | None = None) -> Outcome:
         """Put a rejected candidate into the history; reason and time (s)."""
-        return self._change(lambda d: d.after_rejecting(candidate, reason, self.settings.history, at))
+        return self.change(lambda d: d.after_rejecting(candidate, reason, self.settings.history, at))
 
     def retire(self, reason: str, at: float | None = None) -> Outcome:
         """Leave no calibration current, as for another phone; reason and time (s)."""
-        return self._change(lambda d: d.after_retiring(reason, self.settings.history, at))
+        return self.change(lambda d: d.after_retiring(reason, self.settings.history, at))
 
     def rollback(self, target: int | str = 1) -> Outcome:
         """Make an earlier calibration current again: the target-th before, or the one of this id.
@@ -262,9 +262,10 @@ class Store:
         Raises ValueError where there is no such calibration, and changes nothing then.
         """
         (self.load() or StoreDocument()).after_rollback(target, self.settings.history)
-        return self._change(lambda d: d.after_rollback(target, self.settings.history))
+        return self.change(lambda d: d.after_rollback(target, self.settings.history))
 
-    def _change(self, change: Callable[[StoreDocument], StoreDocument]) -> Outcome:
+    def change(self, change: Callable[[StoreDocument], StoreDocument]) -> Outcome:
+        """Replace the contents by what `change` makes of them, in one write."""
         with self._locked():
             before = self.recover()
             after = change(before.document)

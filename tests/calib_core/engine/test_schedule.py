@@ -14,6 +14,7 @@ from stillcal.calib_core.engine.schedule import (
     Occasion,
     calibration_due,
     early_check_due,
+    first_of_its_hour,
     next_on_grid,
     watch_for,
 )
@@ -51,6 +52,13 @@ def test_watch_follows_need_and_budget(
 def test_a_check_before_its_hour_takes_any_budget_that_is_left(t: float, saved: float, due: bool) -> None:
     state = EngineState(early_check=100.0, allowance=DutyBudget(t, saved, 0.0))
     assert early_check_due(state, t) is due
+
+
+@pytest.mark.parametrize(
+    ("before", "first"), [(None, True), (3599.0, True), (3600.0, False), (5000.0, False)]
+)
+def test_the_first_check_after_a_deadline_is_the_hours(before: float | None, first: bool) -> None:
+    assert first_of_its_hour(EngineState(next_check=7200.0), before, AUTO) is first
 
 
 @pytest.mark.parametrize("forced", ["continuous", "probing"])
