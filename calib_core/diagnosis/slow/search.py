@@ -175,7 +175,6 @@ def adequate(steps: Sequence[Step]) -> list[Step]:
     the best of names leaves of a large effect, its model being a model, is not reported.
     """
     steps = [_one_of_many(s, steps) for s in _one_heat(steps)]
-    steps = [s for s in steps if not any(_departs(s, other) for other in steps)]
     strange = max((s.winner.gain for s in steps if _effect(s) == "unknown"), default=0.0)
     of_models = max(map(_of_model, steps), default=0.0)
     return [s for s in steps if s.winner.gain >= (of_models if _effect(s) == "unknown" else strange)]
@@ -188,7 +187,7 @@ def _of_model(step: Step) -> float:
     return max(thresholds.MODELLED, step.winner.hypothesis.effect.rough) ** 2 * step.winner.gain
 
 
-def _departs(step: Step, named: Step) -> bool:
+def departs(step: Step, named: Step) -> bool:
     """Whether structure is how a named effect departs from its driver, by less than its model is sure of.
 
     The gain of a large effect grows with the logarithm of its size, and so tells little of what is small

@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.slow import statement
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
 from stillcal.calib_core.diagnosis.slow.form import departures_of, doubted
 from stillcal.calib_core.diagnosis.slow.form import stated as form_stated
-from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, without_name
+from stillcal.calib_core.diagnosis.slow.search import Scored, Step, adequate, departs, without_name
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 CHANCE = 1e-3
@@ -68,7 +68,11 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
             told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
             made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
             return each_driver_once(
-                [Stated(f, e.hypothesis, residuals) for f, e in zip(made, estimates, strict=True)]
+                [
+                    Stated(f, e.hypothesis, residuals)
+                    for f, e, step in zip(made, estimates, kept, strict=True)
+                    if not any(departs(step, other) for other in kept)
+                ]
             )
         steps = _unnamed(steps, doubtful)
     return []
