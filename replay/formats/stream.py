@@ -182,9 +182,7 @@ class SampleFile:
         for place in self._clock_columns():
             bad[:, place] |= values[:, place] == EMPTY
         for axes in self._layout.axes.values():
-            none = np.flatnonzero(
-                np.isnan(values[:, axes]).all(axis=1)
-            )  # as MATLAB writes that there is none
+            none = np.isnan(values[:, axes]).all(axis=1)  # as MATLAB writes that there is none
             values[none, axes] = EMPTY
             bad[none, axes] = False
             empty = values[:, axes] == EMPTY

@@ -18,6 +18,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     of_counts,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.segments.rests.stillness import runs_of
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
 
@@ -218,17 +219,11 @@ def _stands_below(size: Array, pile: NDArray[np.bool_], least: float, width: flo
     """
     from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415 - the daemon stays light
 
-    lasts = _lengths(pile)
-    n = int(np.median(lasts[lasts > 1]))
+    lasts = [b - a for a, b in runs_of(pile)]
+    n = int(np.median([samples for samples in lasts if samples > 1]))
     span = maximum_filter1d(size, n) - minimum_filter1d(size, n)
     still = (span < 2.0 * width) & (size > least) & (size < float(size.max()) - 6.0 * width)
-    return _lengths(still).size >= lasts.size
-
-
-def _lengths(on: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return how many samples each run of `on` has."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(np.int8)))
-    return np.asarray(edges[1::2] - edges[::2])
+    return len(runs_of(still)) >= len(lasts)
 
 
 def _by_excursions(signed: Array, limit: float, width: float) -> float:

@@ -122,7 +122,7 @@ class SmoothCurve(Unknown):
     def __init__(
         self, sensor: str, follows: str, of: str, driver: curves.Driver, lags: Sequence[float] = (0.0,)
     ) -> None:
-        """Take what it follows, and of which driver by whose name another effect goes that is."""
+        """Take what it follows, and the driver (`of`) that named effects follow and this one departs from."""
         super().__init__(sensor, follows, Linear("amplitude", UNIT[sensor], 3 * COSINES, SIZE[sensor]))
         self.of, self.driver, self.lags = of, driver, lags
 

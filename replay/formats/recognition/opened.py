@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 from stillcal.daemon.system.files import input_name, is_read_once, short_name
 from stillcal.replay.formats.columns import ColumnMap, load_map
@@ -36,8 +36,19 @@ Format: TypeAlias = str | Path | ColumnMap | None
 Reader = Callable[[Source, ColumnMap | None, Source | None], Log]
 """Opens a recording by a given column map, or by what is in it; the last argument is the gyroscope's file."""
 
-TableReader = Callable[[Source, ColumnMap | None, Source | None, float | None], Log]
-"""The same for a table; the last argument is its rate, Hz, where it has no time stamps."""
+
+class TableReader(Protocol):
+    """The same for a table; rate_hz: where it has no time stamps."""
+
+    def __call__(
+        self,
+        source: Source,
+        column_map: ColumnMap | None,
+        gyro: Source | None,
+        rate_hz: float | None = None,
+    ) -> Log:
+        """Return the log of a table."""
+
 
 _RATE = re.compile(r"(\d+(?:\.\d+)?) ?Hz", re.IGNORECASE)
 
@@ -212,13 +223,8 @@ _LOGS: dict[str, Callable[[Source], Log]] = {
 }
 
 
-def _at_any_rate(reader: TableReader) -> Reader:
-    """Return the reader of tables whose rate nobody has said."""
-    return lambda source, column_map, gyro: reader(source, column_map, gyro, None)
-
-
 READERS: dict[str, Reader] = {
-    **{kind: _at_any_rate(reader) for kind, reader in _TABLES.items()},
+    **_TABLES,
     **{kind: _arrays(kind) for kind in (magic.PARQUET, magic.HDF5, magic.MATLAB)},
     **{kind: _self_described(kind, opened) for kind, opened in _LOGS.items()},
     magic.ZIP: _zip_log,

@@ -32,7 +32,7 @@ from stillcal.replay.formats.recognition.header import (
 )
 from stillcal.replay.formats.recognition.names.kinds import is_own
 from stillcal.replay.formats.recognition.names.units import is_unit
-from stillcal.replay.formats.recognition.rewritten import rewritten
+from stillcal.replay.formats.recognition.rewriting.rewritten import rewritten
 from stillcal.replay.formats.recognition.unnamed import names_of_rows
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.text import text_head, uncommented

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from stillcal.replay.formats.errors import TraceError
-from stillcal.replay.formats.recognition import rewritten
+from stillcal.replay.formats.recognition.rewriting import rewritten
 from stillcal.replay.formats.trace import open_trace, read_all
 
 N = 60

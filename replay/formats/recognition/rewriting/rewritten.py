@@ -16,7 +16,7 @@ from functools import partial
 from stillcal.replay.formats.recognition.header import delimiter_of, split_as
 from stillcal.replay.formats.recognition.names.axes import find_axes
 from stillcal.replay.formats.recognition.names.units import is_unit
-from stillcal.replay.formats.recognition.sentences import sentences
+from stillcal.replay.formats.recognition.rewriting.sentences import sentences
 from stillcal.replay.formats.sources import Source
 from stillcal.replay.formats.tables.cells import is_number
 from stillcal.replay.formats.tables.dates import is_date
