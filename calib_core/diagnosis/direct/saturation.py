@@ -27,6 +27,9 @@ AXES = (0, 1, 2)
 LEAST_LIMIT = {"accel": 11.3, "gyro": 0.5}
 """m/s^2 and rad/s: below, an axis piles up at rest where gravity or nothing holds it."""
 
+LEVEL = 1.5
+"""Times as long within four widths of a value as within one: 1 on a level, 2 where a swing turns back."""
+
 SHORT_OF_RANGE = 0.97
 """Part of the declared range from which a limit is that range."""
 
@@ -223,7 +226,18 @@ def _stands_below(size: Array, pile: NDArray[np.bool_], least: float, width: flo
     n = int(np.median([samples for samples in lasts if samples > 1]))
     span = maximum_filter1d(size, n) - minimum_filter1d(size, n)
     still = (span < 2.0 * width) & (size > least) & (size < float(size.max()) - 6.0 * width)
-    return len(runs_of(still)) >= len(lasts)
+    return sum(_is_level(size, a - n // 2, b + n // 2, width) for a, b in runs_of(still)) >= len(lasts)
+
+
+def _is_level(size: Array, a: int, b: int, width: float) -> bool:
+    """Whether samples a to b lie on one value that was come to and left at once.
+
+    A swing is for a moment still where it turns back, too: it is within four widths of that value for twice as
+    long as within one, and a slow change for four times as long.
+    """
+    around = size[max(a - (b - a), 0) : b + (b - a)]
+    away = np.abs(around - np.median(size[max(a, 0) : b]))
+    return bool((away < 4.0 * width).sum() < LEVEL * (away < width).sum())
 
 
 def _by_excursions(signed: Array, limit: float, width: float) -> float:

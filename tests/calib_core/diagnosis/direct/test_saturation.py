@@ -136,3 +136,23 @@ def test_the_highest_speed_of_a_motor_is_no_limit(limit: float, said: bool) -> N
     rates = [0.3, 1.0, 2.0, 3.5] * 4 if not said else [1.9, 2.4, 3.0, 3.5] * 4
     found = saturation(turned(rates, limit), "gyro", np.full(3, 1e-3), None)
     assert (found is not None) is said
+
+
+def swung(rate: float, limit: float) -> Samples:
+    """Return many swings by hand about one axis, of all sizes, whose rates are clipped before their noise."""
+    rng = np.random.default_rng(5)
+    t = np.arange(round(600.0 * rate)) / rate
+    turned = np.zeros_like(t)
+    for k, begin in enumerate(np.arange(5.0, 590.0, 6.0)):
+        u = np.clip((t - begin) / rng.uniform(0.6, 1.4), 0.0, 1.0)
+        turned += rng.uniform(1.0, 5.5) * (-1.0) ** k * 16.0 * u**2 * (1.0 - u) ** 2
+    read = np.stack([np.clip(turned, -limit, limit), 0.0 * t, 0.0 * t], axis=1)
+    return Samples.checked(Sensor.GYROSCOPE, t, read + 2e-3 * rng.standard_normal(read.shape))
+
+
+@pytest.mark.parametrize("rate", [25.0, 50.0, 100.0])
+def test_swings_that_turn_back_below_a_limit_are_no_speeds_of_a_motor(rate: float) -> None:
+    """They are still for a moment, many more of them than reach the limit."""
+    found = saturation(swung(rate, 5.2), "gyro", np.full(3, 2e-3), None)
+    assert found is not None and found.parameters["limit"].value == pytest.approx(5.2, abs=5e-3)
+    assert saturation(swung(rate, np.inf), "gyro", np.full(3, 2e-3), None) is None
