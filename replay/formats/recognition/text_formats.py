@@ -13,6 +13,7 @@ from stillcal.replay.formats.columns import (
     TIME_UNITS,
     ColumnMap,
     SensorMap,
+    TemperatureMap,
     TimeMap,
     builtin_formats,
     find_columns,
@@ -31,6 +32,7 @@ from stillcal.replay.formats.recognition.header import (
     with_units,
 )
 from stillcal.replay.formats.recognition.names.kinds import is_own
+from stillcal.replay.formats.recognition.names.stamps import find_thermometer, is_plausible_temperature
 from stillcal.replay.formats.recognition.names.units import is_unit
 from stillcal.replay.formats.recognition.rewriting.rewritten import rewritten
 from stillcal.replay.formats.recognition.unnamed import names_of_rows
@@ -176,7 +178,9 @@ def _with_header(lines: list[str], *, whole: bool) -> TextFormat:
         column_map = load_map(name)
         fits = column_map.header and find_columns(_needed(column_map), names, len(names)) is not None
         if fits and name not in SENSOR_LOGGER and (name != "csv" or is_own(names)):
-            return TextFormat(name, _with_rates_inside(_cut_as(column_map, delimiter), names))
+            rows = [_split(line, delimiter) for line in lines[1:]]
+            inside = _with_rates_inside(_cut_as(column_map, delimiter), names)
+            return TextFormat(name, _with_thermometer_inside(inside, names, rows))
     return TextFormat(UNKNOWN, _cut_as(load_map("csv"), delimiter))
 
 
@@ -215,6 +219,24 @@ def _with_rates_inside(column_map: ColumnMap, names: list[str]) -> ColumnMap:
     if gyroscope is None or find_columns(gyroscope.columns, names, len(names)) is None:
         return column_map
     return msgspec.structs.replace(column_map, gyroscope=msgspec.structs.replace(gyroscope, other_file=()))
+
+
+def _with_thermometer_inside(column_map: ColumnMap, names: list[str], rows: list[list[str]]) -> ColumnMap:
+    """Return the map for a table that has a thermometer's column, though its format knows none.
+
+    It counts where its first rows are temperatures that a sensor can have.
+    """
+    thermometer = None if column_map.temperature is not None else find_thermometer(names, "")
+    if thermometer is None or names.count(thermometer[0]) != 1:
+        return column_map
+    place = names.index(thermometer[0])
+    cells = [row[place].strip().replace(",", ".") for row in rows if len(row) == len(names)]
+    values = np.array([float(cell) for cell in cells if cell and _numbers_in([cell])])
+    if not is_plausible_temperature(values, thermometer[1]):
+        return column_map
+    return msgspec.structs.replace(
+        column_map, temperature=TemperatureMap(column=thermometer[0], unit=thermometer[1])
+    )
 
 
 def _cut_as(column_map: ColumnMap, delimiter: str) -> ColumnMap:

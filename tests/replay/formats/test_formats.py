@@ -153,6 +153,28 @@ def test_phyphox_of_one_sensor_alone(tmp_path: Path) -> None:
     assert recording.gyroscope is None
 
 
+@pytest.mark.parametrize(
+    ("column", "cell", "celsius"), [("Temperature (°C)", "21.5", 21.5), ("Temperature (K)", "9", None)]
+)
+def test_a_thermometer_beside_the_columns_of_a_known_format_is_read(
+    tmp_path: Path, column: str, cell: str, celsius: float | None
+) -> None:
+    """An experiment of one's own has it in one table with phyphox's own columns; 9 K no sensor has."""
+    names = [
+        "Time (s)",
+        *(f"Acceleration {a} (m/s^2)" for a in "xyz"),
+        *(f"Gyroscope {a} (rad/s)" for a in "xyz"),
+    ]
+    path = table(tmp_path / "r.csv", "\t".join([*names, column]), 60, "\t".join(["{s}", *"009111", cell]))
+    recording = read_all(path)
+    assert recording.gyroscope is not None
+    if celsius is None:
+        assert recording.accelerometer.temperature is None
+    else:
+        assert recording.accelerometer.temperature is not None
+        np.testing.assert_allclose(recording.accelerometer.temperature, celsius)
+
+
 def test_a_zip_without_a_recording_says_what_it_holds(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "export.zip", "w") as archive:
         archive.writestr("Accelerometer.csv", "Time (s)\n")

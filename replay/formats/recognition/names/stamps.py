@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
 from stillcal.replay.formats.columns import Column
 from stillcal.replay.formats.recognition.names.units import LONG_TIME_UNITS, TIME_UNITS, spelled
 from stillcal.replay.formats.recognition.names.vocabulary import (
@@ -94,6 +97,13 @@ def find_thermometer(names: Sequence[str], label: str) -> tuple[str, Literal["de
             found.append((label not in words and label != "", name, unit))
     found.sort(key=lambda f: f[0])
     return (found[0][1], found[0][2]) if found and (not found[0][0] or len(found) == 1) else None
+
+
+def is_plausible_temperature(values: Array, unit: str) -> bool:
+    """Whether values (n,) of a thermometer's column, in `unit`, are temperatures that a sensor can have."""
+    low, high = {"degC": (-60.0, 150.0), "K": (210.0, 430.0), "degF": (-80.0, 300.0)}[unit]
+    known = values[np.isfinite(values)]
+    return bool(known.size and low < np.median(known) < high)
 
 
 def is_thermometer(bracket: str, words: Sequence[str]) -> bool:

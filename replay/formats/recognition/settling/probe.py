@@ -15,7 +15,7 @@ from stillcal.replay.formats.columns import (
 )
 from stillcal.replay.formats.errors import TraceError
 from stillcal.replay.formats.recognition.names.axes import Axes
-from stillcal.replay.formats.recognition.names.stamps import Stamps
+from stillcal.replay.formats.recognition.names.stamps import Stamps, is_plausible_temperature
 from stillcal.replay.formats.tables.dates import is_date
 from stillcal.replay.formats.tables.table import EMPTY, Table
 
@@ -103,10 +103,7 @@ class Probe:
 
     def plausible_temperature(self, thermometer: tuple[str, str]) -> bool:
         """Whether a column holds temperatures that a sensor can have."""
-        values = self.column(thermometer[0])
-        low, high = {"degC": (-60.0, 150.0), "K": (210.0, 430.0), "degF": (-80.0, 300.0)}[thermometer[1]]
-        known = values[np.isfinite(values)]
-        return bool(known.size and low < np.median(known) < high)
+        return is_plausible_temperature(self.column(thermometer[0]), thermometer[1])
 
 
 def holds_dates(table: Table, column: Column) -> bool:
