@@ -92,8 +92,9 @@ class CalibrationPolicy:
     def check(self, t: float) -> None:
         """Check the calibration on the rests since the last check, if there are any (4.7). t: s.
 
-        Whatever the accelerometer's check says, the gyroscope's bias is measured anew. The accelerometer's,
-        which moves less, is learnt anew by the first check of an hour and by one that fails.
+        Whatever the accelerometer's check says, the gyroscope's bias is measured anew. How it wanders, and
+        the accelerometer's bias, which moves less, are learnt anew by the first check of an hour; the latter
+        by one that fails too.
         """
         state = self._state
         if state.record is None:
@@ -111,13 +112,14 @@ class CalibrationPolicy:
         state.check_due, state.checked, state.suspected = False, t, {}
         state.counters.checks += 1
         self._actions.append(Log(t, Level.INFO, "check", f"{check.verdict}", check.figures()))
-        self.update_bias(t, since)
+        first = first_of_its_hour(state, since, self._settings.schedule)
+        self.update_bias(t, since, search=first)
         if check.verdict is Verdict.RECALIBRATE:
             wrong_since = since if check.off_since is None else check.off_since
             self._degrade(t, wrong_since, check.accel_largest or 0.0)
         else:
             state.trouble = None
-        if state.degraded or first_of_its_hour(state, since, self._settings.schedule):
+        if state.degraded or first:
             self._follow(t)
         state.early_check = wandered_by(state, t, self._settings.schedule)
 
@@ -168,15 +170,18 @@ class CalibrationPolicy:
             self.update_bias(t, since)
         return since is not None
 
-    def update_bias(self, t: float, since: float | None) -> None:
-        """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7)."""
+    def update_bias(self, t: float, since: float | None, *, search: bool = True) -> None:
+        """Measure the gyroscope's bias anew on the rests since a time, s, if they have rates (4.7).
+
+        search: whether how it wanders is looked for too.
+        """
         record = self._state.record
         if record is None or record.provisional:
             self.measure_gyroscope_alone(t)
         else:
             recent = compensated(self._rests_since(since), record)
             updated = with_updated_bias(record, recent, t)
-            self._publish_bias(None if updated is None else self._learnt(updated, t), t)
+            self._publish_bias(None if updated is None else self._learnt(updated, t, search=search), t)
 
     def measure_gyroscope_alone(self, t: float) -> None:
         """Before the first full calibration, publish the gyroscope's bias, or confirm the one published.
@@ -228,16 +233,16 @@ class CalibrationPolicy:
             state.counters.zeroings += 1
             self._actions.append(Publish(t, updated, updated.acceptance.reason))
 
-    def _learnt(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
+    def _learnt(self, record: CalibrationRecord, t: float, *, search: bool = True) -> CalibrationRecord:
         """Return a record with the gyroscope's bias by temperature and time as all rests kept show it."""
-        learnt = self._learn(record, t)
+        learnt = self._learn(record, t, search=search)
         return record if learnt is None else with_learnt_gyroscope(record, learnt, t)
 
-    def _learn(self, record: CalibrationRecord, t: float) -> Learnt | None:
+    def _learn(self, record: CalibrationRecord, t: float, *, search: bool = True) -> Learnt | None:
         """Return what the rests kept show of the gyroscope's bias; None where it is not to be learnt."""
         if not self._settings.schedule.learn_temperature:
             return None
-        return learn_gyroscope(self._state.memory, record, t, self._settings.quality)
+        return learn_gyroscope(self._state.memory, record, t, self._settings.quality, search=search)
 
     def _refined(self, record: CalibrationRecord, t: float) -> CalibrationRecord:
         """Return a calibration fitted just now with the gyroscope's bias as learnt; its reason says both."""

@@ -42,18 +42,23 @@ _BEGINNINGS = 4
 """Rests that miss their prediction at which a step is tried: its first one may show little of it."""
 
 
-def learn(seen: Observations, model: Model, now: float, start: Wander | None = None) -> Fit:
+def learn(
+    seen: Observations, model: Model, now: float, start: Wander | None = None, *, search: bool = True
+) -> Fit:
     """Fit a bias by temperature and time, allowing for steps and for rests that are no rests.
 
     A rest that misses its prediction by more than BREAK standard uncertainties is doubted, or shows a step,
     or the bias wanders by so much: whichever is likelier. A doubt and a step at the newest rest are alike; it
     is then a step, so that a knock widens the uncertainty at once. Either is as large as the rest shows
     (HIDDEN). Rests are made linear about the bias of their own time. now: s, the time that the bias is wanted
-    for. start: where the search for the wander begins. Raises ValueError where there is no rest.
+    for. start: where the search for the wander begins; without `search` that is the wander, unless a rest
+    misses its prediction. Raises ValueError where there is no rest.
     """
     if not len(seen.t):
         raise ValueError("no rests to learn from")
-    fit = Regression(seen, model).fit(now, start=start)
+    fit = Regression(seen, model).fit(now, start=start, search=search)
+    if not search and start is not None and _missed(fit).max() > BREAK:
+        fit = Regression(seen, model).fit(now, start=start)
     for _ in range(MOST_BREAKS):
         broken = _broken(fit, now)
         if broken is None:

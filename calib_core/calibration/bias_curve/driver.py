@@ -97,16 +97,19 @@ class Driver:
         )
 
     def at_likeliest_lag(
-        self, seen: Observations, model: Model, t: float, before: Forecast | None
+        self, seen: Observations, model: Model, t: float, before: Forecast | None, *, search: bool = True
     ) -> tuple[float, Observations, Fit]:
         """Return the lag, s, that explains the rests best, the observations with it, and their fit.
 
-        before: the forecast in use, whose lag stays unless another one is clearly likelier.
+        before: the forecast in use, whose lag stays unless another one is clearly likelier; without `search`
+        it stays, and so does its wander as `learn` says.
         """
         lag_s, start = (0.0, None) if before is None else (before.lag_s, before.wander)
         known = 0.0 if before is None else float(np.linalg.norm(before.curve[0])) / UNIT_K
         here = self._with_lag(seen, lag_s, known)
-        fit = learn(here, model, t, start)
+        fit = learn(here, model, t, start, search=search)
+        if before is not None and not search:
+            return lag_s, here, fit
         seen = seen.about(fit.course)
         slope = float(np.linalg.norm(fit.curve[0])) / UNIT_K
         scores = {}

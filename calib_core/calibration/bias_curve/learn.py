@@ -66,11 +66,15 @@ PRIORS = {Sensor.ACCELEROMETER: ACCELEROMETER, Sensor.GYROSCOPE: GYROSCOPE}
 
 
 def learn_gyroscope(
-    memory: Memory, record: CalibrationRecord, t: float, settings: QualitySettings
+    memory: Memory, record: CalibrationRecord, t: float, settings: QualitySettings, *, search: bool = True
 ) -> Learnt | None:
-    """Learn the gyroscope's bias now (t, s) by temperature; None where no rest has a rate."""
+    """Learn the gyroscope's bias now (t, s) by temperature; None where no rest has a rate.
+
+    search: whether how it wanders and how late it follows are looked for. Else they stay as the record's
+    forecast has them, which takes a fraction of the time.
+    """
     shown = shown_by_gyroscope(memory, record)
-    return None if shown is None else _learn(shown, record, t, settings)
+    return None if shown is None else _learn(shown, record, t, settings, search=search)
 
 
 def learn_accelerometer(
@@ -85,7 +89,14 @@ def learn_accelerometer(
     return _learn(shown_by_accelerometer(memory, model, record), record, t, settings)
 
 
-def _learn(shown: Shown, record: CalibrationRecord | None, t: float, settings: QualitySettings) -> Learnt:
+def _learn(
+    shown: Shown,
+    record: CalibrationRecord | None,
+    t: float,
+    settings: QualitySettings,
+    *,
+    search: bool = True,
+) -> Learnt:
     """Learn by the thermometer, or by the charger where no curve can follow the thermometer now.
 
     A term that follows the charger stays until one that follows the thermometer is taken up, and the other
@@ -94,7 +105,7 @@ def _learn(shown: Shown, record: CalibrationRecord | None, t: float, settings: Q
     thermometer, charger = by_thermometer(shown.memory), by_charger(shown.memory)
     term = None if record is None else held_term(record.terms, shown.sensor)
     before = None if record is None else record.forecast.get(str(shown.sensor))
-    learn_by = partial(_learn_by, shown, term=term, before=before, t=t, settings=settings)
+    learn_by = partial(_learn_by, shown, term=term, before=before, t=t, settings=settings, search=search)
     if term is not None and charger.drives(term):
         learnt = learn_by(thermometer) if thermometer.mostly_known else None
         learnt = learnt if learnt is not None and learnt.change == TAKEN_UP else learn_by(charger)
@@ -157,6 +168,7 @@ def _learn_by(
     before: Forecast | None,
     t: float,
     settings: QualitySettings,
+    search: bool,
 ) -> Learnt:
     """Fit with and without a curve, decide which is used, and return what follows.
 
@@ -171,10 +183,10 @@ def _learn_by(
     model = Model(driver.priors(PRIORS[shown.sensor]), driver.reference(term), with_curve=False)
     known_now = np.isfinite(driver.read[-1])
     if not known_now or not driver.mostly_known or np.ptp(driver.known) < LEAST_SPAN_K:
-        return _undecided(shown, seen, driver, model, term=term, t=t, before=before)
-    without = learn(seen, model, t, start)
+        return _undecided(shown, seen, driver, model, term=term, t=t, before=before, search=search)
+    without = learn(seen, model, t, start, search=search)
     lag, seen, curved = driver.at_likeliest_lag(
-        _wider(seen, term), replace(model, with_curve=True), t, before
+        _wider(seen, term), replace(model, with_curve=True), t, before, search=search
     )
     change, evidence = change_of(curved, without, seen, term is not None, settings)
     against = misled(curved, without, seen.t)
@@ -225,6 +237,7 @@ def _undecided(
     term: Term | None,
     t: float,
     before: Forecast | None,
+    search: bool,
 ) -> Learnt:
     """Return the bias where the rests' temperatures decide nothing: a term that is held stays as it is.
 
@@ -238,10 +251,11 @@ def _undecided(
     if term is not None and known_now:
         offset, told = driver.offset(term), told_curve(term)[1:]
         seen = seen.less(offset)
-    fit = curved = averaged(learn(seen, model, t, start), t)
+    fit = curved = averaged(learn(seen, model, t, start, search=search), t)
     if known_now and driver.mostly_known:
         priors = _after(model.priors, None if term is None else before)
-        curved = averaged(learn(seen, replace(model, priors=priors, with_curve=True), t, fit.wander), t)
+        curving = replace(model, priors=priors, with_curve=True)
+        curved = averaged(learn(seen, curving, t, fit.wander, search=search), t)
     forecast = _forecast(fit, curved, driver, seen.celsius, t)
     forecast = replace(forecast, curve=frozen(forecast.curve + told))
     learnt = partial(_learnt, shown, fit, forecast=forecast, evidence={})

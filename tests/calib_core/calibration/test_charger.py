@@ -222,12 +222,20 @@ def test_a_lag_is_kept_only_while_the_same_driver_is_followed(
     monkeypatch.setattr(
         driver.Driver,
         "at_likeliest_lag",
-        lambda own, seen, model, t, before: kept.append(before) or likeliest(own, seen, model, t, before),
+        lambda own, seen, model, t, before, **how: (
+            kept.append(before) or likeliest(own, seen, model, t, before, **how)
+        ),
     )
     shown = shown_by_gyroscope(memory, record)
     for own in (driver.by_thermometer(memory), driver.by_charger(memory)):
         learn._learn_by(
-            shown, own, term=None, before=record.forecast[GYRO], t=float(T[-1]), settings=SETTINGS
+            shown,
+            own,
+            term=None,
+            before=record.forecast[GYRO],
+            t=float(T[-1]),
+            settings=SETTINGS,
+            search=True,
         )
     assert [before is not None for before in kept] == [not by_charger, by_charger]
 

@@ -242,6 +242,28 @@ def test_rests_after_a_jump_of_the_thermometer_have_no_temperature_and_it_is_sai
     assert [log.why.split(" is ")[-1] for log in back.logged("thermometer")][1:] == ["followed again"]
 
 
+def test_how_the_gyroscope_wanders_is_learnt_once_an_hour_and_its_bias_at_every_check() -> None:
+    hourly = replace(QUICK.schedule, check_interval_s=1200.0, wanted_rate=1e-7)
+    charged = Rest(duration_s=60.0, charging=True)
+    day = Day(
+        Poses(count=20, rest_s=(6.0, 8.0)),
+        charged,
+        Table(duration_s=5000.0, rest_s=(60.0, 300.0)),
+        settings=replace(QUICK, schedule=hourly),
+    ).lived()
+    zeroed = [
+        (a.t, a.record.gyroscope.bias, a.record.forecast["gyroscope"].wander)
+        for a in day.actions
+        if isinstance(a, Publish) and a.record.acceptance.how == "zeroing"
+    ]
+    hours = [np.floor(t / 1200.0) for t, _, _ in zeroed]
+    in_between = [(b, c) for b, c, x, y in zip(zeroed, zeroed[1:], hours, hours[1:], strict=False) if x == y]
+    assert len(in_between) >= 5
+    for (_, bias, wander), (_, later, same) in in_between:
+        assert not np.array_equal(bias, later) and wander == same
+    assert len({wander for _, _, wander in zeroed}) >= 2
+
+
 def test_on_time_stays_within_burst_and_fraction() -> None:
     """With probes so close that they alone would take a fifth of the time."""
     energy = EnergySettings(burst_s=100.0, on_time_fraction=0.05)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -38,3 +40,18 @@ def test_without_rests_there_is_nothing_to_learn() -> None:
     none = observed(np.zeros(0), np.zeros(0), np.zeros((0, 3)))
     with pytest.raises(ValueError, match="no rests"):
         learn(none, Model(GYROSCOPE, 25.0, with_curve=True), 0.0)
+
+
+def test_without_a_search_the_wander_stays_until_a_rest_misses_its_prediction() -> None:
+    seen, _ = made(np.random.default_rng(2))
+    model, now = Model(GYROSCOPE, 25.0, with_curve=True), float(seen.t[-1])
+    searched = learn(seen, model, now)
+    held = replace(searched.wander, flicker=1.2 * searched.wander.flicker)
+    kept = learn(seen, model, now, held, search=False)
+    assert kept.wander == held
+    assert kept.bias == pytest.approx(searched.bias, abs=1e-3 * DEG)
+    value = seen.value + 0.2 * DEG * (np.arange(len(seen.t)) >= 40)[:, None]
+    knocked = observed(seen.t, seen.celsius, value)
+    fit = learn(knocked, model, now, held, search=False)
+    again = learn(knocked, model, now, held)
+    assert [step.t for step in fit.steps] == [seen.t[40]] and fit.log_likelihood == again.log_likelihood
