@@ -115,16 +115,13 @@ class Pool:
 
 def _bounded(turns: tuple[RotationSegment, ...]) -> tuple[RotationSegment, ...]:
     """Return segments of MOST_SAMPLES at most: long ones are thinned first, then the oldest dropped."""
-    kept, refused = list(turns), set[int]()
+    kept = list(turns)
     excess = sum(segment.t.size for segment in kept) - MOST_SAMPLES
-    while excess > 0 and len(refused) < len(kept):
-        longest = max(set(range(len(kept))) - refused, key=lambda k: kept[k].t.size)
+    while excess > 0 and not all(segment.thinnest for segment in kept):
+        longest = max(range(len(kept)), key=lambda k: (not kept[k].thinnest, kept[k].t.size))
         thinned = kept[longest].halved()
-        if thinned is None:
-            refused.add(longest)
-        else:
-            excess -= kept[longest].t.size - thinned.t.size
-            kept[longest] = thinned
+        excess -= kept[longest].t.size - thinned.t.size
+        kept[longest] = thinned
     while excess > 0:
         excess -= kept.pop(0).t.size
     return tuple(kept)

@@ -6,7 +6,7 @@ refused here; estimation from them is in fit.py.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
@@ -64,13 +64,15 @@ class RotationSegmentSettings:
 class RotationSegment:
     """The gyroscope between two rests, from within the first into the second.
 
-    before, after: the rests. t: (n,) s. rates: (n, 3) raw rad/s.
+    before, after: the rests. t: (n,) s. rates: (n, 3) raw rad/s. thinnest: whether half of the samples are
+    known to lose too much.
     """
 
     before: RestState
     after: RestState
     t: Array
     rates: Array
+    thinnest: bool = False
 
     @property
     def t_start(self) -> float:
@@ -82,8 +84,8 @@ class RotationSegment:
         """Stamp of the last sample, within the second rest, s."""
         return float(self.t[-1])
 
-    def halved(self) -> RotationSegment | None:
-        """Return the segment with every second sample, smoothed; None where that loses too much.
+    def halved(self) -> RotationSegment:
+        """Return the segment with every second sample, smoothed; as the thinnest where that loses too much.
 
         The trapezoidal sum of the rates stays the same, so a turn about one axis keeps its angle. Where the
         axis changes, the whole may differ by MOST_LOST.
@@ -94,7 +96,7 @@ class RotationSegment:
         smooth[1:-1] = 0.25 * self.rates[:-2] + 0.5 * self.rates[1:-1] + 0.25 * self.rates[2:]
         t, rates, bias = self.t[keep], smooth[keep], 0.5 * (self.before.rate + self.after.rate)
         if t.size < _LEAST_SAMPLES or _apart(self.t, self.rates - bias, t, rates - bias) > MOST_LOST:
-            return None
+            return replace(self, thinnest=True)
         return RotationSegment(self.before, self.after, frozen(t), frozen(rates))
 
 

@@ -83,6 +83,18 @@ def running_product(q: Array) -> Array:
     return out
 
 
+def product(q: Array) -> Array:
+    """Return the product q_0 q_1 ... q_n, shape (4,), from quaternions of shape (4, n), n at least 1.
+
+    It is the last of `running_product`, in half as many products.
+    """
+    while q.shape[1] > 1:
+        n = q.shape[1]
+        pairs = multiply(q[:, 0 : n - 1 : 2], q[:, 1:n:2])
+        q = np.concatenate((pairs, q[:, n - 1 :]), axis=1) if n % 2 else pairs
+    return q[:, 0]
+
+
 def mean_rate_angles(t: Array, rates: Array) -> Array:
     """Return the integral of rates (n, 3), rad/s, over every interval of t (n,), s: (n - 1, 3) rad.
 
@@ -110,14 +122,19 @@ def attitudes(t: Array, rates: Array) -> Array:
 
     t: (n,) s, never decreasing. rates: (n, 3) rad/s, calibrated. Repeated stamps add no rotation.
     """
-    steps = exponential(mean_rate_angles(t, rates) + coning_angles(t, rates))
-    start = np.array([[1.0], [0.0], [0.0], [0.0]])
-    return running_product(np.concatenate((start, steps), axis=1))
+    return running_product(_steps(t, rates))
 
 
 def rotation(t: Array, rates: Array) -> Array:
     """Return R (3, 3) with u_end = R u_start for any vector u fixed in the world (Eq. 14)."""
-    return matrix(attitudes(t, rates)[:, -1]).T
+    return matrix(product(_steps(t, rates))).T
+
+
+def _steps(t: Array, rates: Array) -> Array:
+    """Return the rotation of every interval, after one of none at all, (4, n)."""
+    steps = exponential(mean_rate_angles(t, rates) + coning_angles(t, rates))
+    start = np.array([[1.0], [0.0], [0.0], [0.0]])
+    return np.concatenate((start, steps), axis=1)
 
 
 def _derivative(h: Array, rates: Array) -> Array:

@@ -10,6 +10,7 @@ import pytest
 from stillcal.calib_core.calibration import rest_pool
 from stillcal.calib_core.calibration.rest_pool import AttitudeIndex, HeldRest, Pool, PoolSettings
 from stillcal.calib_core.gravity import Gravity
+from stillcal.calib_core.gyroscope import rotation_segment
 from stillcal.calib_core.gyroscope.rotation_segment import RotationSegment
 from stillcal.calib_core.static.rest import RestState
 from tests.support.turned_phones import recording
@@ -110,3 +111,14 @@ def test_turns_of_a_fast_sensor_stay_bounded_and_show_the_same_scale(
     whole, thinned = trip.fit(), replace(trip, turns=list(pool.turns)).fit()
     assert (np.abs(thinned.model.scale - whole.model.scale) < whole.scale_uncertainty).all()
     assert thinned.rms_after < 1.2 * whole.rms_after
+
+
+def test_a_segment_that_cannot_be_thinned_is_kept_whole_and_known_as_such(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trip = recording(seed=3, n=6, rate_hz=25.0)
+    monkeypatch.setattr(rest_pool, "MOST_SAMPLES", trip.turns[0].t.size + trip.turns[1].t.size - 1)
+    monkeypatch.setattr(rotation_segment, "MOST_LOST", 0.0)
+    one, two = Pool().with_segment(trip.turns[0], PoolSettings()), trip.turns[1]
+    (kept,) = one.with_segment(two, PoolSettings()).turns
+    assert kept.thinnest and np.array_equal(kept.rates, two.rates)

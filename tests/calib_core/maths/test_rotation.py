@@ -76,6 +76,7 @@ def test_running_product_is_the_product_taken_one_by_one(n: int, seed: int) -> N
     for k in range(1, n):
         expected.append(rotation.multiply(expected[-1], q[:, k]))
     np.testing.assert_allclose(rotation.running_product(q), np.array(expected).T, atol=1e-13)
+    np.testing.assert_allclose(rotation.product(q), expected[-1], atol=1e-13)
 
 
 def test_printed_equations_12_and_13_with_their_slips_undone() -> None:
