@@ -232,8 +232,8 @@ def _stands_below(size: Array, pile: NDArray[np.bool_], least: float, width: flo
 def _is_level(size: Array, a: int, b: int, width: float) -> bool:
     """Whether samples a to b lie on one value that was come to and left at once.
 
-    A swing is for a moment still where it turns back, too: it is within four widths of that value for twice as
-    long as within one, and a slow change for four times as long.
+    A swing is for a moment still where it turns back, too: it is within four widths of that value for twice
+    as long as within one, and a slow change for four times as long.
     """
     around = size[max(a - (b - a), 0) : b + (b - a)]
     away = np.abs(around - np.median(size[max(a, 0) : b]))
