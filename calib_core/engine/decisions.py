@@ -45,6 +45,7 @@ from stillcal.calib_core.engine.full_calibration import FitOutcome, FitTask, fit
 from stillcal.calib_core.engine.schedule import (
     CalibrationStatus,
     Occasion,
+    accelerometer_wandered,
     calibration_due,
     first_of_its_hour,
     wandered_by,
@@ -94,7 +95,7 @@ class CalibrationPolicy:
 
         Whatever the accelerometer's check says, the gyroscope's bias is measured anew. How it wanders, and
         the accelerometer's bias, which moves less, are learnt anew by the first check of an hour; the latter
-        by one that fails too.
+        also by one that fails, and where it is expected to have wandered too far.
         """
         state = self._state
         if state.record is None:
@@ -119,7 +120,7 @@ class CalibrationPolicy:
             self._degrade(t, wrong_since, check.accel_largest or 0.0)
         else:
             state.trouble = None
-        if state.degraded or first:
+        if state.degraded or first or accelerometer_wandered(state, t, self._settings.schedule):
             self._follow(t)
         state.early_check = wandered_by(state, t, self._settings.schedule)
 

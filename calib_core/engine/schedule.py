@@ -168,6 +168,12 @@ def wandered_by(state: EngineState, t: float, settings: ScheduleSettings) -> flo
     return None
 
 
+def accelerometer_wandered(state: EngineState, t: float, settings: ScheduleSettings) -> bool:
+    """Tell whether the accelerometer's bias, learnt before, is expected to have wandered too far by t (s)."""
+    forecast = None if state.record is None else state.record.forecast.get(str(Sensor.ACCELEROMETER))
+    return forecast is not None and forecast.wander.growth(t - forecast.at) > settings.wanted_force**2
+
+
 def early_check_due(state: EngineState, t: float) -> bool:
     """Tell whether a check is due at t (s) before its hour, and any of the budget is left to spend.
 

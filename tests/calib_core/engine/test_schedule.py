@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from stillcal.calib_core.calibration.record import CalibrationRecord, GyroscopeRecord
 from stillcal.calib_core.engine.duty_cycle import DutyBudget, EnergySettings
 from stillcal.calib_core.engine.schedule import (
     CalibrationStatus,
     Need,
     Occasion,
+    accelerometer_wandered,
     calibration_due,
     early_check_due,
     first_of_its_hour,
@@ -20,6 +22,7 @@ from stillcal.calib_core.engine.schedule import (
 )
 from stillcal.calib_core.engine.settings import ScheduleSettings, Watch
 from stillcal.calib_core.engine.state import EngineState
+from stillcal.calib_core.temperature.forecast import Forecast
 
 AUTO = ScheduleSettings()
 BOTH, RESTS, CHECK, NOTHING = Need(True, True), Need(True, False), Need(False, True), Need(False, False)
@@ -59,6 +62,30 @@ def test_a_check_before_its_hour_takes_any_budget_that_is_left(t: float, saved: 
 )
 def test_the_first_check_after_a_deadline_is_the_hours(before: float | None, first: bool) -> None:
     assert first_of_its_hour(EngineState(next_check=7200.0), before, AUTO) is first
+
+
+@pytest.mark.parametrize(
+    ("walk", "age", "far"), [(1e-4, 90.0, False), (1e-4, 110.0, True), (1e-6, 3e3, False)]
+)
+def test_an_accelerometer_that_wanders_too_far_before_its_hour_is_learnt_anew(
+    walk: float, age: float, far: bool
+) -> None:
+    """1e-4 m/s^2 sqrt(s) make the 1e-3 m/s^2 that are wanted at most in 100 s."""
+    none = np.zeros((3, 3))
+    forecast = Forecast(
+        at=1000.0,
+        reference=25.0,
+        curve=none,
+        error=np.zeros((4, 3)),
+        covariance=np.zeros((12, 12)),
+        white=0.0,
+        flicker=0.0,
+        walk=walk,
+    )
+    gyroscope = GyroscopeRecord(scale=np.eye(3), bias=np.zeros(3), parameters=3)
+    record = CalibrationRecord(gyroscope=gyroscope, forecast={"accelerometer": forecast})
+    assert accelerometer_wandered(EngineState(record=record), 1000.0 + age, AUTO) is far
+    assert not accelerometer_wandered(EngineState(), 1000.0 + age, AUTO)
 
 
 @pytest.mark.parametrize("forced", ["continuous", "probing"])
