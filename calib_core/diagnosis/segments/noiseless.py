@@ -34,6 +34,10 @@ QUIET = 0.2
 STRETCH, STRETCHES = 20, 30
 """Seconds of a stretch in which a sensor's own noise is looked for, and how many stretches there are."""
 
+SMOOTH = 4.0
+"""Growth of the variance of second differences over twice the time: between that of what is smooth (16) and
+of white noise (1)."""
+
 FEWEST_TOGETHER = 8
 """Samples that are taken together where a second has fewer."""
 
@@ -64,12 +68,23 @@ def with_noise(samples: Samples, seen: Windows) -> tuple[Samples, Windows] | Non
 def _own(xyz: Array, period: float) -> Array:
     """Return the standard deviation (3,) of samples (n, 3) at rest about a straight line or a vibration.
 
-    It is infinite for too few. Stretches of a long recording tell it.
+    It is infinite for too few. Stretches of a long recording tell it. Noise behind a low-pass hides from
+    neighbouring samples: every second one is looked at too, every fourth, ... What is smooth has a variance
+    that grows by 16 each time. That of noise stops growing.
     """
     second = max(round(1.0 / period), FEWEST_TOGETHER)
     starts = np.unique(np.linspace(0, max(len(xyz) - STRETCH * second, 0), STRETCHES).astype(np.int64))
-    variance = np.concatenate([_variances(xyz[k : k + STRETCH * second], second) for k in starts.tolist()])
-    return np.asarray(np.sqrt(np.quantile(variance, QUIET, axis=0))) if len(variance) else np.full(3, np.inf)
+    stretches = [xyz[k : k + STRETCH * second] for k in starts.tolist()]
+    thinned: list[Array] = []
+    for each in (2**k for k in range(second.bit_length())):
+        if second // each < FEWEST_TOGETHER:
+            break
+        found = np.concatenate([_variances(stretch[::each], second // each) for stretch in stretches])
+        thinned.append(np.quantile(found, QUIET, axis=0) if len(found) else np.full(3, np.inf))
+    own = thinned[0]
+    for at, finer in zip(thinned[1:], thinned[:-1], strict=True):
+        own = np.maximum(own, np.where(at < SMOOTH * finer, at, 0.0))
+    return np.asarray(np.sqrt(own))
 
 
 def _variances(xyz: Array, size: int) -> Array:

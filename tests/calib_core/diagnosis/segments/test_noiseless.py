@@ -82,6 +82,20 @@ def test_a_vibration_is_no_noise_and_noise_of_a_narrow_band_is(
     assert (with_its_noise(xyz) is not None) == silent
 
 
+def test_noise_behind_a_low_filter_is_noise_and_a_smooth_sway_is_none() -> None:
+    """A chip at 1000 Hz with its filter at 5 Hz: neighbouring samples differ by less than a step."""
+    t = np.arange(20000) / 1000.0
+    rng = np.random.default_rng(4)
+    noise = lfilter(*butter(3, 5.0, fs=1000.0), rng.normal(size=(20000, 3)), axis=0)
+    sway = np.outer(
+        0.02 * np.sin(2.0 * np.pi * 0.2 * t) + 0.01 * np.sin(2.0 * np.pi * 0.33 * t), [1.0, 0.5, 0.2]
+    )
+    still = np.array([0.3, 0.2, 9.8]) + sway
+    for xyz, silent in ((still + 0.003 * noise / noise.std(), False), (still, True)):
+        one = Samples(Sensor.ACCELEROMETER, t, np.round(xyz / 6e-4) * 6e-4 if not silent else xyz)
+        assert (with_noise(one, windows(one, 0.0, 20.0)) is not None) == silent
+
+
 def test_the_seconds_get_as_much() -> None:
     one = samples(turned())
     seen = windows(one, 0.0, 60.0)
