@@ -156,7 +156,27 @@ def forward(
         step = refined(residuals, prefer_original(prefer_pair(residuals, step, before)), before)
         steps.append(step)
         effects = [e for e in effects if not _spent(e, step.winner.hypothesis.effect)]
-    return steps
+    return forms_anew(residuals, steps)
+
+
+def forms_anew(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Step]:
+    """Choose the form of each name again, such as a straight line or a parabola, beside all other steps.
+
+    What is found first bends for what is found after it, and needs no bend beside that. With it, a curve
+    without a name predicted what was left out better than the name.
+    """
+    chosen = list(steps)
+    for k, step in enumerate(steps):
+        own = step.winner.hypothesis
+        kin = [s for s in step.others if s.hypothesis.effect.name == own.effect.name != "unknown"]
+        others = [h for other in chosen if other is not step for h in other.explained]
+        if not kin or not others:
+            continue
+        best = compete(residuals, [own, *(s.hypothesis for s in kin)], others)[:1]
+        for one in (s for s in kin for b in best if s.hypothesis is b.hypothesis):
+            rest = (step.winner, *(s for s in step.others if s is not one))
+            chosen[k] = refined(residuals, Step(one, rest), others)
+    return chosen
 
 
 def beside_each_other(residuals: SensorResiduals, known: Sequence[Hypothesis]) -> list[Step]:

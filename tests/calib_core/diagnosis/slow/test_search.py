@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature, ScaleTemperature
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import search
+from tests.calib_core.diagnosis.slow.test_findings import day_of
 from tests.support.diagnosis import nulls
 
 MOST_MB = 64.0
@@ -46,3 +48,18 @@ def test_the_size_of_a_batch_changes_no_score(monkeypatch: pytest.MonkeyPatch) -
         found.append([(s.hypothesis.grid, s.score) for s in search.compete(residuals, some)])
     assert [grid for grid, _ in found[0]] == [grid for grid, _ in found[1]]
     np.testing.assert_allclose([s for _, s in found[0]], [s for _, s in found[1]], rtol=1e-9, atol=1e-9)
+
+
+def test_a_form_that_is_found_first_is_chosen_again_beside_what_is_found_later() -> None:
+    """A slope of the bias that was found as a parabola, beside the scale's, is a straight line."""
+    rng, day = day_of(5)
+    warm = day.temperature - day.temperature.mean()
+    error = np.outer(warm, [0.02, -0.01, 0.015]) + nulls.G * day.up * np.outer(warm, [1e-3, 6e-4, -8e-4])
+    residuals = by_sensor(nulls.bins_of(rng, day, "white", accel_error=error), nulls.G)[0]
+    line, curve = (BiasTemperature("accel", degree) for degree in (1, 2))
+    own = {h.effect: h for e in (line, curve, ScaleTemperature("accel")) for h in residuals.hypotheses(e)}
+    bias = {s.hypothesis.effect: s for s in search.compete(residuals, [own[line], own[curve]])}
+    (scale,) = search.compete(residuals, [h for e, h in own.items() if e not in bias], [own[curve]])
+    steps = [search.Step(bias[curve], (bias[line],)), search.Step(scale, ())]
+    assert search.forms_anew(residuals, steps)[0].winner.hypothesis.effect is line
+    assert search.forms_anew(residuals, steps[:1]) == steps[:1], "alone it was chosen so"
