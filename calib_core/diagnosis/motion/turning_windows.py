@@ -184,17 +184,18 @@ def turning_windows(
 ) -> list[tuple[Array, Array]]:
     """Return stamps (n,), all different, and rate (n, 3) of unbroken windows of turning, the lively ones.
 
-    spoiled: when not to look; what lies between is cut into windows. Slow turns of a hand tell little, and
-    its own acceleration is the louder beside them.
+    Samples of one stamp, as of a coarse clock or one that was kept from running back, are spread up to the
+    next stamp. spoiled: when not to look; what lies between is cut into windows. Slow turns of a hand tell
+    little, and its own acceleration is the louder beside them.
     """
     bias = np.zeros(3) if affine is None else affine.bias
     n = round(WINDOW / _interval(gyroscope.t))
-    clear = np.ones(len(gyroscope), dtype=bool)
+    clear, stamps = np.ones(len(gyroscope), dtype=bool), _spread(gyroscope.t)
     for start, end in spoiled:
         clear[np.searchsorted(gyroscope.t, start) : np.searchsorted(gyroscope.t, end, side="right")] = False
     found, size = [], []
     for first in (k for a, b in runs_of(clear) for k in range(a, b - n, n)):
-        t, rate = gyroscope.t[first : first + n], gyroscope.xyz[first : first + n] - bias
+        t, rate = stamps[first : first + n], gyroscope.xyz[first : first + n] - bias
         rms = float(np.sqrt((rate**2).sum(axis=1).mean()))
         unbroken = t[-1] - t[0] < 1.5 * WINDOW and np.diff(t).min() > 0.0
         if unbroken and rms > LEAST_RATE and followed(t, rate):
@@ -202,6 +203,12 @@ def turning_windows(
             size.append(rms)
     least = min(LIVELY_RATE, sorted(size)[-min(WANTED, len(size))]) if size else 0.0
     return [w for w, x in zip(found, size, strict=True) if x >= least]
+
+
+def _spread(t: Array) -> Array:
+    """Return stamps (n,) with those that are alike spread evenly up to the next one."""
+    first = np.flatnonzero(np.diff(t, prepend=-np.inf) > 0.0)
+    return t if first.size == t.size else np.interp(np.arange(t.size), first, t[first])
 
 
 def _interval(t: Array) -> float:

@@ -112,6 +112,17 @@ def test_a_late_gyroscope_is_timed(delay: float) -> None:
     assert found.alternatives == []  # a filter that delays as much would show in the noise
 
 
+def test_stamps_that_are_alike_here_and_there_time_a_gyroscope() -> None:
+    """A clock that is kept from running back gives one sample in fifty the stamp of the one before."""
+    accelerometer, gyroscope = played(11, delay=0.03)
+    stamps = np.where(np.arange(len(gyroscope)) % 50 == 49, np.roll(gyroscope.t, 1), gyroscope.t)
+    streams = accelerometer, replace(gyroscope, t=frozen(stamps))
+    affine = aligned(streams[1], cut(*streams), G)
+    (found,) = shown_in_motion(*streams, affine, G, sound_phones()["time_offset"]).findings
+    low, high = found.parameters["delay"].ci95
+    assert low < 0.03 < high and high - low < 0.02
+
+
 def test_the_quiet_turns_of_a_lively_hand_time_a_gyroscope() -> None:
     (found,) = diagnosed(11, delay=0.015, moods=2.0)
     low, high = found.parameters["delay"].ci95
