@@ -41,9 +41,13 @@ AT_LIMIT, BEYOND = 0.99, 1.1
 """Part of a sensor's limit from which a value stands for a larger one, and how many times larger it is taken:
 enough for the simulated sensor to stop at the limit as well. How large it was nothing tells."""
 
-ROUNDS = 4
-"""Times that effects are taken at the motion without them: an effect that grows by a tenth of what it acts on
-is then known to a thousandth of itself."""
+ROUNDS, SETTLED = 12, 1e-4
+"""Times at most that effects are taken at the motion without them, and by which part of its largest what they
+add changes at last. One that grows by a tenth of what it acts on has settled after four."""
+
+LEAST_STEP = 0.25
+"""Part of a step that is taken at least, where what is added goes to and fro: it grows by up to three times
+of what it acts on, as the cube of a rate that reads twice as large."""
 
 SLOWEST = 0.05
 """Rates below this, rad/s, are noise at rest, which acts through no lever arm and no nonlinearity."""
@@ -112,16 +116,40 @@ def added_to(
     before left.
     """
     known = [e for e in effects if observable(e)]
-    accel = np.zeros_like(recording.accelerometer.xyz)
-    gyro = None if recording.gyroscope is None else np.zeros_like(recording.gyroscope.xyz)
+    accel = _Settling(np.zeros_like(recording.accelerometer.xyz))
+    gyro = None if recording.gyroscope is None else _Settling(np.zeros_like(recording.gyroscope.xyz))
     for _ in range(ROUNDS if known else 0):
-        motion = _without(recording, affine, effects, (accel, gyro))
+        motion = _without(recording, affine, effects, (accel.value, gyro and gyro.value))
         moment = moment_of(recording, motion, conditions, motion.force_t)
-        accel = _added(known, Sensor.ACCELEROMETER, moment, recording, conditions)
-        if motion.rate_t is not None:
+        settled = accel.approach(_added(known, Sensor.ACCELEROMETER, moment, recording, conditions))
+        if gyro is not None and motion.rate_t is not None:
             moment = moment_of(recording, motion, conditions, motion.rate_t)
-            gyro = _added(known, Sensor.GYROSCOPE, moment, recording, conditions)
-    return accel, gyro
+            settled &= gyro.approach(_added(known, Sensor.GYROSCOPE, moment, recording, conditions))
+        if settled:
+            break
+    return accel.value, gyro and gyro.value
+
+
+class _Settling:
+    """What effects add, which depends on itself: the solution of value = f(value), number by number.
+
+    Where f falls steeply, value goes to and fro and away. A secant's step, shorter than that to f, goes on
+    from the last two rounds.
+    """
+
+    def __init__(self, value: Array) -> None:
+        self.value = value
+        self._moved = self._away = np.zeros_like(value)
+
+    def approach(self, then: Array) -> bool:
+        """Go towards f(value), `then`; return whether the value has settled."""
+        away = then - self.value
+        fallen = self._away - away
+        known = (self._moved != 0.0) & (fallen != 0.0)
+        slope = np.divide(self._moved, fallen, out=np.ones_like(away), where=known)
+        self._moved, self._away = np.clip(slope, LEAST_STEP, 1.0) * away, away
+        self.value = self.value + self._moved
+        return bool(np.abs(away).max(initial=0.0) <= SETTLED * np.abs(then).max(initial=0.0))
 
 
 def _without(

@@ -187,8 +187,11 @@ def _nonlinearity(finding: Finding) -> list[str]:
     powers = [(2, "quadratic"), (3, "cubic")]
     used = [(p, name) for p, name in powers if name in finding["parameters"]]
     error = " + ".join(f"{name} * true**{p}" for p, name in used)
+    slope = " + ".join(f"{p} * {name} * true" + (f"**{p - 1}" if p > 2 else "") for p, name in used)
     lines = [_literal(finding, name) for _, name in used]
-    return [*lines, f"true = {x}", "for _ in range(5):", f"    true = {x} - ({error})", f"{x} = true"]
+    solved = [f"true = {x}", "for _ in range(8):  # Newton's steps"]
+    step = f"    true = true - (true + {error} - {x}) / np.maximum(1.0 + {slope}, 0.2)"
+    return [*lines, *solved, step, f"{x} = true"]
 
 
 def _skew(finding: Finding) -> list[str]:

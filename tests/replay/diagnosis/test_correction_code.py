@@ -59,12 +59,15 @@ ADDED = [
     ("gyro_g_sensitivity", "gyro", {"matrix": [[1e-4, 0, 2e-4], [0, -1e-4, 0], [3e-4, 0, 1e-4]]}, {}),
     ("accel_nonlinearity", "accel", {"quadratic": [2e-4, -1e-4, 2e-4], "cubic": [1e-5, 0.0, 1e-5]}, {}),
     ("gyro_nonlinearity", "gyro", {"quadratic": [2e-3, -1e-3, 2e-3], "cubic": [1e-3, 0.0, 1e-3]}, {}),
+    ("gyro_nonlinearity", "gyro", {"quadratic": [0.0, 0.02, 0.0], "cubic": [0.12, 0.08, -0.02]}, {}),
     ("lever_arm", "accel", {"position": [0.03, 0.05, 0.002]}, {}),
 ]
 """Effect, sensor, the finding's parameters, and what else the phone's effect takes."""
 
 
-@pytest.mark.parametrize(("effect", "sensor", "values", "more"), ADDED, ids=[a[0] for a in ADDED])
+@pytest.mark.parametrize(
+    ("effect", "sensor", "values", "more"), ADDED, ids=[f"{i}-{a[0]}" for i, a in enumerate(ADDED)]
+)
 def test_the_pasted_function_takes_out_what_the_phone_put_in(
     effect: str, sensor: str, values: dict[str, Any], more: dict[str, Any]
 ) -> None:

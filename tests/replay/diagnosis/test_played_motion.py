@@ -17,7 +17,7 @@ from stillcal.replay.diagnosis.phone.resimulate import Motion, moment_of, motion
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
-from stillcal.replay.phone.effects.on_input import LeverArm, VibrationTone
+from stillcal.replay.phone.effects.on_input import GyroNonlinearity, LeverArm, VibrationTone
 from stillcal.replay.phone.effects.on_settings import GyroBiasRandomWalk
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.settings import ClockSettings, SensorSettings
@@ -39,6 +39,25 @@ def test_a_vibration_is_taken_off_the_recorded_motion_between_rests() -> None:
     found = motion_of(recording, bins, affine, [TONE], conditions, gravity=STANDARD)
     fast = np.diff(found.force - force, axis=0)[(angle[1:] > 0.05) & (angle[1:] < 0.95)]
     assert fast.std(axis=0).max() < 0.02, "of 0.27 with the vibration"
+
+
+def test_what_a_gross_nonlinearity_added_is_solved_for() -> None:
+    """At 5 rad/s this reads a third too large: taken at what was read, and again, it went to and fro."""
+    true = np.outer(
+        np.sin(2.0 * np.pi * 0.7 * T) * np.interp(T, [40.0, 45.0, 80.0, 85.0], [0.0, 5.0, 5.0, 0.0]),
+        np.eye(3)[0],
+    )
+    accel = Samples(Sensor.ACCELEROMETER, frozen(T), frozen(np.tile([0.0, 0.0, STANDARD], (T.size, 1))))
+    bent = GyroNonlinearity(cubic=(0.0132, 0.0, 0.0))
+    streams = accel, replace(accel, sensor=Sensor.GYROSCOPE, xyz=frozen(true + 0.0132 * true**3))
+    recording, bins = Recording(*streams, [], Claims(), []), still_bins(*streams)
+    conditions = conditions_of(bins)
+    found = motion_of(
+        recording, bins, fit_affine(bins, [bent], conditions, STANDARD), [bent], conditions, gravity=STANDARD
+    )
+    assert found.rate is not None
+    turns = np.abs(true[:, 0]) > 0.1
+    assert np.abs(found.rate - true)[turns].max() < 0.005
 
 
 def test_a_single_moment_of_a_motion_can_be_played() -> None:
