@@ -232,6 +232,7 @@ def _with_motion(
         motion = shown_in_motion(
             exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
             spoiled=[*exam.spoiled, *exam.on_limits], filters=filters,
+            untold=[s.sensor for s in exam.streams if s.hides_filter],
         )  # fmt: skip
     else:
         motion = Shown([], why_none=OTHER_AXES)

@@ -111,6 +111,11 @@ class Stream:
             return False
         return self.spectra.low_pass is not None or self.levels.own
 
+    @property
+    def hides_filter(self) -> bool:
+        """Whether its noise is hidden, by coarse steps or repeated values, and with it any low-pass."""
+        return self.steps.hides_noise() or self.repeats_many
+
     def halves(self) -> list[Stream]:
         """Return the stream before and after its middle, each measured by itself."""
         middle = float(self.samples.t[len(self.samples) // 2])

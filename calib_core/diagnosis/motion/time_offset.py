@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -63,6 +63,7 @@ def shown_in_motion(
     *,
     spoiled: Sequence[Span] = (),
     filters: FilterDelay | None = None,
+    untold: Collection[str] = (),
 ) -> Shown:
     """Return what motion shows; nothing where there is too little.
 
@@ -82,7 +83,7 @@ def shown_in_motion(
     error = float(np.hypot(np.sqrt(fit.last.sums.jackknifed(PARTS)[1][3, 3]), fit.delay_apart))
     # Errors from few windows are themselves uncertain: about Student's t at four standard deviations.
     total = Measured(fit.delay, max(error * (1.0 + 6.0 / len(motion.windows)), LEAST_ERROR))
-    delayed = partial(_delayed, fit=fit, usual=usual, where=where, interval=interval)
+    delayed = partial(_delayed, fit=fit, usual=usual, where=where, interval=interval, untold=untold)
     filters = _likely(filters, total, delayed)
     beyond = total if filters is None else filters.beyond(total)
     whole, late = delayed(total), delayed(beyond)
@@ -167,8 +168,10 @@ def power_over_delays(
     return np.asarray(left) / min(left)
 
 
-def _delayed(delay: Measured, fit: Fit, usual: Usual, where: Where, interval: float) -> Finding | None:
-    """State a delay that no sound phone has; interval: of samples, s."""
+def _delayed(
+    delay: Measured, fit: Fit, usual: Usual, where: Where, interval: float, *, untold: Collection[str]
+) -> Finding | None:
+    """State a delay that no sound phone has; interval: of samples, s; untold: sensors of hidden noise."""
     if abs(delay.value) >= LONGEST:
         return None
     side = "behind" if delay.value > 0 else "ahead of"
@@ -176,7 +179,8 @@ def _delayed(delay: Measured, fit: Fit, usual: Usual, where: Where, interval: fl
     seen = of_measured(delay, usual, fit.last.sums.held_out(ARM, without=fit.first))
     # A second-order low-pass of this cutoff delays as much; beyond the band no noise would show it.
     cutoff = np.sqrt(2.0) / (2.0 * np.pi * abs(delay.value))
-    hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval)
+    late = "gyro" if delay.value > 0 else "accel"
+    hidden = bool(cutoff > thresholds.BANDWIDTH_LIMIT / interval) or late in untold
     return direct_finding(
         DELAY,
         "timing",

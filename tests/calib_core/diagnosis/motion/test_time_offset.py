@@ -123,6 +123,20 @@ def test_stamps_that_are_alike_here_and_there_time_a_gyroscope() -> None:
     assert low < 0.03 < high and high - low < 0.02
 
 
+@pytest.mark.parametrize("held", [False, True])
+def test_a_delay_of_a_sensor_whose_noise_is_hidden_may_be_a_filters(held: bool) -> None:
+    """Of held samples the spectrum is not the noise's: nothing tells whether there is a low-pass."""
+    accelerometer, gyroscope = played(11, delay=0.03)
+    if held:
+        repeats = np.random.default_rng(1).random(len(gyroscope)) < 0.3
+        repeats[0] = False
+        own = np.maximum.accumulate(np.where(repeats, 0, np.arange(len(gyroscope))))
+        gyroscope = replace(gyroscope, xyz=frozen(gyroscope.xyz[own]))
+    found = [s.finding for s in examine(accelerometer, gyroscope, sought=()).statements]
+    (late,) = (f for f in found if f.effect == "accel_gyro_time_offset")
+    assert [a.effect for a in late.alternatives if a.indistinguishable] == ["bandwidth"] * held
+
+
 def test_the_quiet_turns_of_a_lively_hand_time_a_gyroscope() -> None:
     (found,) = diagnosed(11, delay=0.015, moods=2.0)
     low, high = found.parameters["delay"].ci95
