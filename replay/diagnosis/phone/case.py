@@ -49,7 +49,7 @@ class Case:
     mapped: the findings, each with its effect in a phone file. beside: those of them that a phone file cannot
     have, such as a bias that follows a logged column; the bins are without what these add. affine: the
     constants fitted with all of them. cutoffs: Hz, of the low-passes that the noise shows, by sensor, also of
-    those that sound phones have.
+    those that sound phones have. orders: theirs; a phone file's are of the second.
     """
 
     recording: Recording
@@ -60,6 +60,7 @@ class Case:
     beside: tuple[Known, ...]
     affine: AffinePhone
     cutoffs: Mapping[str, float]
+    orders: Mapping[str, int]
 
     def phone(self) -> Phone:
         """Return the phone that the recording shows, with the effects found. Needs static bins."""
@@ -86,7 +87,9 @@ class Case:
 
         def late(samples: Samples, sensor: str) -> float:
             cutoff = self.cutoffs.get(sensor)
-            return 0.0 if cutoff is None else LowPass(cutoff, median_rate_hz(samples)).delay_s
+            if cutoff is None:
+                return 0.0
+            return LowPass(cutoff, median_rate_hz(samples), self.orders[sensor]).delay_s
 
         force_t = motion.force_t - late(self.recording.accelerometer, "accel")
         if motion.rate_t is None or self.recording.gyroscope is None:
@@ -126,8 +129,10 @@ def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) 
         for _ in range(ROUNDS):
             affine = _about_effects(bare, bins, affine, effects, conditions, gravity=gravity)
     spectra = {s.sensor: s.spectra for s in exam.streams if s.spectra is not None}
-    cutoffs = {s: float(f"{one.low_pass.cutoff.value:.4g}") for s, one in spectra.items() if one.low_pass}
-    return Case(recording, bins, gravity, conditions, mapped, beside, affine, cutoffs)
+    seen = {s: one.low_pass for s, one in spectra.items() if one.low_pass}
+    cutoffs = {s: float(f"{one.cutoff.value:.4g}") for s, one in seen.items()}
+    orders = {s: one.order for s, one in seen.items()}
+    return Case(recording, bins, gravity, conditions, mapped, beside, affine, cutoffs, orders)
 
 
 def with_errors(recording: Recording, known: Sequence[Known], times: float = 1.0) -> Recording:

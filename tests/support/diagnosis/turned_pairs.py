@@ -46,9 +46,9 @@ def turned(
     )  # fmt: skip
 
 
-def low_passed(samples: Samples, cutoff: float) -> Samples:
-    """Return what a Butterworth filter of the second order leaves. cutoff: part of the rate."""
-    return replace(samples, xyz=frozen(lfilter(*butter(2, 2.0 * cutoff), samples.xyz, axis=0)))
+def low_passed(samples: Samples, cutoff: float, order: int = 2) -> Samples:
+    """Return what a Butterworth filter, of the second order by default, leaves. cutoff: part of the rate."""
+    return replace(samples, xyz=frozen(lfilter(*butter(order, 2.0 * cutoff), samples.xyz, axis=0)))
 
 
 def _motion(t: Array, turns: int, rest: float, seed: int) -> tuple[Array, Array]:

@@ -201,6 +201,18 @@ def test_what_a_low_pass_delayed_is_not_delayed_by_it_again(sensor: str) -> None
     assert abs(late) < 0.01, "of 0.08 s that the filter delays"
 
 
+def test_a_low_pass_of_another_order_than_the_phones_leaves_no_delay_between_the_sensors() -> None:
+    """Of the fourth order it delays twice as much as the phone's own of that cutoff."""
+    made = turned(1, turns=24)
+    made = replace(made, accelerometer=low_passed(made.accelerometer, 0.1, 4))
+    exam = examined(made, sought=())
+    case = case_of(made, exam, compare_with_ideal(exam))
+    assert case.orders == {"accel": 4}
+    played = examined(case.played(case.phone()), sought=())
+    assert played.delay is not None and exam.delay is not None
+    assert abs(played.delay.value - exam.delay.value) < 0.015, "of 0.08 s between the two orders"
+
+
 @pytest.mark.slow
 def test_the_gyroscopes_scale_in_the_phone_file_is_that_beside_its_nonlinearity() -> None:
     """The turns tell both: fitted without the nonlinearity, the scale held a part of it, 0.5 % here."""
