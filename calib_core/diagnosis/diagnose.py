@@ -94,6 +94,7 @@ def examine(
     sound: SoundPhones | None = None,
     covariates: Mapping[str, TimeSeries] | None = None,
     sought: Sequence[Hypothesis] | None = None,
+    of_turns: Sequence[Stated] = (),
     overview: Overview | None = None,
     delivered_twice: int = 0,
     progress: Callable[[float], None] = lambda _share: None,
@@ -102,10 +103,11 @@ def examine(
 
     covariates: further logged columns by name, which a bias may follow. sought: the slow effects of rests
     that may be there; None: all of them, those of turns and what has no name are searched for, which takes
-    most of the time. A simulation that was made with known ones needs only to be measured. overview: every
-    second of the recording, where the samples are only some of it; None where they are all.
-    delivered_twice: samples that came twice and are here once. progress: is called with the share of the
-    work that is done. A sensor without any noise is judged with that of a quiet one (`audible`).
+    most of the time. A simulation that was made with known ones needs only to be measured; of_turns: those of
+    the rate of turn, about which its turns are then measured. overview: every second of the recording, where
+    the samples are only some of it; None where they are all. delivered_twice: samples that came twice and are
+    here once. progress: is called with the share of the work that is done. A sensor without any noise is
+    judged with that of a quiet one (`audible`).
     """
     refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()
@@ -123,7 +125,7 @@ def examine(
         made = replace(made, statements=[*map(Stated, zones), *_beside_zones(made.statements, zones)])
     progress(MEASURED)
     made = _with_slow(made, covariates, without, sought, progress)
-    made = _with_motion(made, without, sound, in_turns=sought is None)
+    made = _with_motion(made, without, sound, in_turns=sought is None, of_turns=of_turns)
     made = _with_tilts(made, seconds) if sought is None else made
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
@@ -208,7 +210,12 @@ def _with_slow(
 
 
 def _with_motion(
-    exam: Examination, without: Collection[str], sound: SoundPhones, *, in_turns: bool
+    exam: Examination,
+    without: Collection[str],
+    sound: SoundPhones,
+    *,
+    in_turns: bool,
+    of_turns: Sequence[Stated],
 ) -> Examination:
     """Return an examination with what motion and the turns between rests show, where there is a gyroscope.
 
@@ -239,10 +246,11 @@ def _with_motion(
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
     turns, about = None if exam.exchanged or exam.zone_at_rest else turns, None
-    if affine is not None and turns is not None and in_turns:
-        of_turns, about = about_effects(turn_statements(turns, without), (affine, turns), rates, turned)
+    if affine is not None and turns is not None:
+        searched_for = turn_statements(turns, without) if in_turns else of_turns
+        found, about = about_effects(searched_for, (affine, turns), rates, turned)
         lasts = rms([t.duration for t in turns.turns])
-        stated += beyond(unsure_tilt(stated, gravity, lasts), of_turns)
+        stated += beyond(unsure_tilt(stated, gravity, lasts), found) if in_turns else []
     return replace(
         exam,
         aligned=affine,

@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.corrected import with_known
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, named, silent
@@ -56,9 +57,18 @@ def _played(
     corrected = named(with_known(case.played(case.phone()), case.beside), f"{BUILT_IN}, corrected")
     beside = {known.effect.name for known in case.beside}
     left_out = [effect for effect in case.not_in_phone() if effect not in beside]
-    measured = examined(corrected, show_stage, sought=_found_again(recorded))
+    measured = examined(corrected, show_stage, sought=_found_again(recorded), of_turns=_of_turns(recorded))
     after = compare(recorded, measured, names, played=True)
     return Fit.of(before, after, left_out).without_own_constants(), after, corrected
+
+
+def _of_turns(recorded: Examination) -> list[Stated]:
+    """Return the named effects of the rate of turn, which the corrected simulation has too.
+
+    A large one is measured about itself in both, for it goes with powers of the true rate.
+    """
+    named = (s for s in recorded.statements if s.hypothesis and s.finding.effect != "unknown")
+    return [s for s in named if s.residuals is not None and s.residuals.turns]
 
 
 def _found_again(recorded: Examination) -> list[Hypothesis]:

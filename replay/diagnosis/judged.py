@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.streams.events import Charging
 from stillcal.replay.diagnosis.condense import overview_of
@@ -57,8 +58,9 @@ def examined(
     name: str = "",
     without: Collection[str] = (),
     sought: Sequence[Hypothesis] | None = None,
+    of_turns: Sequence[Stated] = (),
 ) -> Examination:
-    """Measure a recording. name: of what is shown; without, sought: as for `diagnose.examine`.
+    """Measure a recording. name: of what is shown; without, sought, of_turns: as for `diagnose.examine`.
 
     Raises NotSupported, with the recording's name, on too little data.
     """
@@ -73,6 +75,7 @@ def examined(
             without=without,
             covariates=recording.covariates,
             sought=sought,
+            of_turns=of_turns,
             overview=overview_of(recording),
             delivered_twice=recording.delivered_twice,
             progress=lambda done: show_stage(stage, done),
