@@ -119,7 +119,7 @@ def added_to(
     accel = _Settling(np.zeros_like(recording.accelerometer.xyz))
     gyro = None if recording.gyroscope is None else _Settling(np.zeros_like(recording.gyroscope.xyz))
     for _ in range(ROUNDS if known else 0):
-        motion = _without(recording, affine, effects, (accel.value, gyro and gyro.value))
+        motion = _without(recording, affine, effects, (accel.value, None if gyro is None else gyro.value))
         moment = moment_of(recording, motion, conditions, motion.force_t)
         settled = accel.approach(_added(known, Sensor.ACCELEROMETER, moment, recording, conditions))
         if gyro is not None and motion.rate_t is not None:
@@ -127,7 +127,7 @@ def added_to(
             settled &= gyro.approach(_added(known, Sensor.GYROSCOPE, moment, recording, conditions))
         if settled:
             break
-    return accel.value, gyro and gyro.value
+    return accel.value, None if gyro is None else gyro.value
 
 
 class _Settling:
