@@ -71,3 +71,16 @@ def test_a_thermometer_that_is_little_late_leaves_no_second_effect(
     found = slow_findings(by_sensor(replace(bins, temperature=read), nulls.G)[1])
     assert ([f.where.driver for f in found] == ["temperature"]) is (drivers is not None)
     assert found[0].effect == "gyro_bias_temperature" or drivers is None
+
+
+def test_what_is_small_on_an_axis_that_the_name_hardly_moves_is_an_effect_of_its_own() -> None:
+    """Of all axes together it is 3 % of the name, which moves another axis."""
+    rng = np.random.default_rng(1)
+    _, day = heated(0.0)
+    rate = np.gradient(day.temperature)
+    error = np.outer(day.temperature - 25.0, [1e-3, 0.0, 0.0])
+    error += np.outer(rate / np.abs(rate).max(), [0.0, 2e-4, 0.0])
+    quiet = {"accel": nulls.Wander(), "gyro": nulls.Wander(pink=5e-6)}
+    bins = nulls.bins_of(rng, day, quiet, gyro_error=error, charger=False)
+    found = slow_findings(by_sensor(bins, nulls.G)[1])
+    assert [(f.effect, f.axes) for f in found] == [("gyro_bias_temperature", ["x"]), ("unknown", ["y"])]
