@@ -68,7 +68,7 @@ def _wander(exam: Examination, sensor: str, other: Examination) -> float:
 
 def _named(exam: Examination, residuals: SensorResiduals, other: Examination) -> list[Hypothesis]:
     """Return the effects that a recording has, and those of another by name, as these residuals have them."""
-    found = [s.hypothesis for s in exam.statements if s.residuals is residuals and s.hypothesis is not None]
+    found = [h for s in exam.statements if s.residuals is residuals for h in s.fitted]
     names = {h.effect.name for h in found}
     asked = [
         w for w in wanted_of(other) if w.kind == kind_of(residuals) and w.hypothesis.effect.name not in names

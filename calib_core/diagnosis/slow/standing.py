@@ -67,15 +67,23 @@ def _standing(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Stated]
         if doubtful is None:
             told = [form_stated(form, e) for form, e in zip(forms, estimates, strict=True)]
             made = [replace(f, departure=d) for f, d in zip(made, told, strict=True)]
-            return each_driver_once(
-                [
-                    Stated(f, e.hypothesis, residuals)
-                    for f, e, step in zip(made, estimates, kept, strict=True)
-                    if not any(departs(step, other) for other in kept)
-                ]
-            )
+            found = [e.hypothesis for e in estimates]
+            return each_driver_once(_with_departures(residuals, kept, made, found))
         steps = _unnamed(steps, doubtful)
     return []
+
+
+def _with_departures(
+    residuals: SensorResiduals,
+    kept: Sequence[Step],
+    made: Sequence[Finding],
+    found: Sequence[Hypothesis],
+) -> list[Stated]:
+    """Return the statements; the error of a name's model is beside the first such name, and not told."""
+    whose = [next((k for k, other in enumerate(kept) if departs(step, other)), None) for step in kept]
+    beside = [tuple(h for h, of in zip(found, whose, strict=True) if of == k) for k in range(len(kept))]
+    every = zip(made, found, whose, beside, strict=True)
+    return [Stated(f, h, residuals, with_it) for f, h, of, with_it in every if of is None]
 
 
 def _not_by_themselves(

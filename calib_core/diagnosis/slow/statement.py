@@ -28,11 +28,20 @@ ALTERNATIVES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stated:
-    """A finding with the hypothesis it states and the residuals it was found in; None where it has none."""
+    """A finding with the hypothesis it states and the residuals it was found in; None where it has none.
+
+    beside: what is fitted beside it as the error of its model, and not told.
+    """
 
     finding: Finding
     hypothesis: Hypothesis | None = None
     residuals: SensorResiduals | None = None
+    beside: tuple[Hypothesis, ...] = ()
+
+    @property
+    def fitted(self) -> tuple[Hypothesis, ...]:
+        """The hypothesis that it states, and those beside it."""
+        return self.beside if self.hypothesis is None else (self.hypothesis, *self.beside)
 
     @property
     def sizes(self) -> Array:

@@ -161,9 +161,8 @@ def slow_noise(
 
 
 def _found(exam: Examination, residuals: SensorResiduals) -> list[Hypothesis]:
-    """Return what was found in a sensor's residuals."""
-    own = (s for s in exam.statements if s.residuals is residuals)
-    return [s.hypothesis for s in own if s.hypothesis is not None]
+    """Return what was found in a sensor's residuals, what is the error of a name's model with it."""
+    return [h for s in exam.statements if s.residuals is residuals for h in s.fitted]
 
 
 def _deviations(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> list[tuple[float, float]]:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import slow_noise
 from stillcal.calib_core.diagnosis.effects.curves import heating
 from stillcal.calib_core.diagnosis.model.moments import moments_of
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
+from stillcal.calib_core.diagnosis.slow.findings import slow_statements
 from tests.support.diagnosis import nulls
 from tests.support.diagnosis.said import slow_findings
 
@@ -84,3 +88,20 @@ def test_what_is_small_on_an_axis_that_the_name_hardly_moves_is_an_effect_of_its
     bins = nulls.bins_of(rng, day, quiet, gyro_error=error, charger=False)
     found = slow_findings(by_sensor(bins, nulls.G)[1])
     assert [(f.effect, f.axes) for f in found] == [("gyro_bias_temperature", ["x"]), ("unknown", ["y"])]
+
+
+@pytest.mark.parametrize("late", [0.0, 10.0])
+def test_the_error_of_a_names_model_is_no_slow_noise(late: float) -> None:
+    """What is fitted beside a name and not told is taken out of what wanders, too."""
+    rng = np.random.default_rng(1)
+    _, day = heated(0.0)
+    error = np.outer(day.temperature - 25.0, [6e-4, -5e-4, 3e-4])
+    quiet = {"accel": nulls.Wander(), "gyro": nulls.Wander(pink=5e-6)}
+    bins = nulls.bins_of(rng, day, quiet, gyro_error=error, charger=False)
+    read = np.interp(bins.t - late, day.t, day.temperature)
+    residuals = by_sensor(replace(bins, temperature=read), nulls.G)[1]
+    (stated,) = slow_statements(residuals)
+    assert bool(stated.beside) is (late > 0.0)
+    exam: Any = SimpleNamespace(statements=[stated], sensors=[residuals], streams=[])
+    noise = slow_noise(exam, residuals)
+    assert noise is not None and (np.exp(noise.value) < 2e-5).all()
