@@ -248,7 +248,8 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     assert "amplitude up to 0.573 deg/s;" in statement(finding | {"parameters": many}, ("real.csv", BUILT_IN))
 
 
-def test_what_has_no_name_in_either_is_told_with_both_sizes() -> None:
+@pytest.mark.parametrize("relation", ["too_small", "too_large"])
+def test_what_has_no_name_in_either_is_told_with_both_sizes(relation: str) -> None:
     sides = {
         side: {
             "amplitude": {"value": [size, 0.0, 0.0], "ci95": [[0.9 * size, 1.1 * size]] * 3, "unit": "rad/s"}
@@ -257,7 +258,7 @@ def test_what_has_no_name_in_either_is_told_with_both_sizes() -> None:
     }
     where = {"t_start": 0.0, "t_end": 60.0, "driver": "a vibration that comes and goes"}
     finding = {
-        "effect": "unknown", "sensor": "gyro", "axes": ["x"], "relation": "too_small", "alternatives": [],
+        "effect": "unknown", "sensor": "gyro", "axes": ["x"], "relation": relation, "alternatives": [],
         "where": where, "difference": {}, **sides,
     }  # fmt: skip
     said = statement(finding, ("real.csv", "sim.csv"))

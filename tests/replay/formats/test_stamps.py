@@ -120,6 +120,18 @@ def test_steps_show_no_unit_that_times_beside_them_contradict(tmp_path: Path, be
     assert "time node_timestamp in ms" in again.notes[0]
 
 
+def test_steps_that_are_too_short_for_the_times_beside_them_show_no_unit_either(tmp_path: Path) -> None:
+    """Ticks of 20 a second would be ms, and the recording 50 times as fast as it is."""
+    recording = read(tmp_path, {"timestamp": texts(SECONDS * 2000, ".0f"), "clock_s": texts(SECONDS * 100)})
+    np.testing.assert_allclose(np.diff(recording.accelerometer.t), 1.0)
+
+
+def test_dates_that_go_on_by_a_minute_only_contradict_no_times(tmp_path: Path) -> None:
+    minutes = [f"2026-03-01 10:0{int(t > SECONDS[N // 2])}" for t in SECONDS]
+    recording = read(tmp_path, {"timestamp": texts(SECONDS * 1e3, ".0f"), "Date": minutes})
+    assert "time timestamp in ms" in recording.notes[0]
+
+
 def test_what_is_no_clock_contradicts_no_times(tmp_path: Path) -> None:
     latency = texts(RNG.uniform(3, 400, N))
     recording = read(tmp_path, {"timestamp": texts(SECONDS * 1e3, ".0f"), "latency [ms]": latency})
