@@ -22,10 +22,11 @@ from stillcal.calib_core.diagnosis.segments.rests.rest_edges import (
     plugs,
     rest_edges,
 )
-from stillcal.calib_core.diagnosis.segments.rests.stillness import still_seconds
+from stillcal.calib_core.diagnosis.segments.rests.stillness import SHORTEST_REST, still_seconds
 from stillcal.calib_core.diagnosis.segments.thermometer import reconstructed
 from stillcal.calib_core.diagnosis.segments.value_grid import rounding_error, step_at_rest
 from stillcal.calib_core.diagnosis.segments.windows import (
+    BRIEF_WINDOWS,
     WINDOW,
     Windows,
     windows,
@@ -37,6 +38,10 @@ from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.streams.time_series import TimeSeries
 
 POOLED_WEIGHT = 30.0
+
+MANY, MORE = 40, 1.5
+"""Bins from which on rests are not sought in briefer windows; how many times as many stops these must have:
+a calibration takes nine bins, an effect up to nine more."""
 
 NEAR_BINS = 5
 """Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
@@ -97,6 +102,12 @@ class Bins:
     def __len__(self) -> int:
         return int(self.t.size)
 
+    @property
+    def held(self) -> bool:
+        """Whether rests are so brief that a hand may hold the phone in them, and turn it a little."""
+        seconds = np.bincount(self.rest, weights=self.duration)
+        return bool(seconds.size > 0 and np.median(seconds) < SHORTEST_REST * WINDOW)
+
     def chosen(self, keep: NDArray[np.bool_]) -> Bins:
         """Return the bins where `keep` (n,) holds, their rests numbered anew."""
         kept: dict[str, Any] = {
@@ -139,34 +150,46 @@ def cut(
 ) -> Bins:
     """Cut a recording into still bins of `bin_length` s (None: 10 s, or 1/200 of the recording).
 
-    overview: its windows, where the samples are only a part of it (None: they are made from the samples).
+    Where windows of a second find few rests, briefer ones are tried. overview: the recording's windows of a
+    second, where the samples are only a part of it (None: they are made from the samples).
     """
     overview = overview or overview_of(accelerometer, gyroscope)
     span, force, rate = overview.span, overview.force, overview.rate
-    edges = rest_edges(force, rate, span, bin_length).beside_plugs(events, span[0])
+    edges = rest_edges(force, rate, span, bin_length)
+    active = (~edges.still).astype(np.float64)
+    whole = len(accelerometer) >= force.count.sum()
+    for width in BRIEF_WINDOWS if whole else ():
+        if edges.first.size >= MANY:
+            break
+        brief = windows(accelerometer, *span, width)
+        turning = None if gyroscope is None or rate is None else windows(gyroscope, *span, width)
+        finer = rest_edges(brief, turning, span, bin_length, width)
+        if finer.stops >= MORE * max(edges.stops, 1) or finer.suffices_where(edges):
+            edges, force, rate = finer, brief, turning
+    edges = edges.beside_plugs(events, span[0])
     if rate is not None:
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
     force, rate = without_gaps(force), None if rate is None else without_gaps(rate)
-    still, first, last, rest, pose = edges.still, edges.first, edges.last, edges.rest, None
+    first, last, rest, pose, width = edges.first, edges.last, edges.rest, None, edges.width
     if rate is not None:
-        one, turned = poses.poses(edges.runs, force.mean, rate.mean, rate.count, WINDOW)
+        one, turned = poses.poses(edges.runs, force.mean, rate.mean, rate.count, width)
         rest, pose = one[rest], poses.of_bins(turned, first, last)
     return Bins(
-        t=span[0] + (first + last) * 0.5 * WINDOW,
-        duration=(last - first) * WINDOW,
+        t=span[0] + (first + last) * 0.5 * width,
+        duration=(last - first) * width,
         rest=_numbered(rest),
         pose=pose,
         force=_bin_means(force.mean, first, last),
         force_variance=_white_variances(force.mean, first, last, LEAST_FORCE),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
-        activity=np.stack([force.t, (~still).astype(np.float64)], axis=1),
+        activity=np.stack([overview.force.t, active], axis=1),
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE),
-        temperature=_bin_temperatures(overview.thermometer, span[0], first, last),
+        temperature=_bin_temperatures(overview.thermometer, span[0], first, last, width),
         force_rounding=_rounding(accelerometer, force, first, last),
         rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, first, last),
-        **_charging(events, span, first, last),
+        **_charging(events, span, first, last, width),
     )
 
 
@@ -285,15 +308,21 @@ def _readings(samples: Samples) -> Array | None:
     return np.stack([samples.t[known], samples.temperature[known]], axis=1)
 
 
-def _bin_temperatures(readings: Array | None, t_start: float, first: Array, last: Array) -> Array | None:
+def _bin_temperatures(
+    readings: Array | None, t_start: float, first: Array, last: Array, width: float = WINDOW
+) -> Array | None:
     if readings is None or len(readings) < 2 or first.size == 0:
         return None
     course = TimeSeries(readings[:, 0], reconstructed(*readings.T))
-    return course.mean(t_start + (first + last) * 0.5 * WINDOW, (last - first) * WINDOW)
+    return course.mean(t_start + (first + last) * 0.5 * width, (last - first) * width)
 
 
 def _charging(
-    events: Sequence[Charging], span: tuple[float, float], first: Array, last: Array
+    events: Sequence[Charging],
+    span: tuple[float, float],
+    first: Array,
+    last: Array,
+    width: float = WINDOW,
 ) -> dict[str, Array | None]:
     """Return charging per bin and (m, 2) switching times; before the first event its opposite held."""
     switched = plugs(events)
@@ -303,7 +332,7 @@ def _charging(
     states = np.array(
         [float(switched[0].t > span[0] and not switched[0].on), *(float(e.on) for e in switched)]
     )
-    fine = span[0] + np.arange(int((span[1] - span[0]) / WINDOW) + 1) * WINDOW
+    fine = span[0] + np.arange(int((span[1] - span[0]) / width) + 1) * width
     at = states[np.maximum(np.searchsorted(times, fine, side="right") - 1, 0)]
     return {
         "charging": _bin_means(at[:, None], first, last)[:, 0],

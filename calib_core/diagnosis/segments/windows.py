@@ -1,4 +1,4 @@
-"""Windows of one second, on which a recording is cut: mean and spread, the farthest sample in or out."""
+"""Windows of a second or less, in which a recording is cut: mean and spread, the farthest sample left out."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.streams.samples import Samples
 
-WINDOW = 1.0
+WINDOW, BRIEF_WINDOWS = 1.0, (0.5, 0.25)
+"""s. Brief windows find rests of two or three seconds: a calibration by hand is made of such."""
+
 FEWEST_SAMPLES = 5
 KNOCK = 3.0
 """Spread of a window over what is usual, above which something touched the phone."""
@@ -18,7 +20,7 @@ KNOCK = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """One-second windows of one sensor. t: (n,) s, middles; count: (n,); mean, variance: (n, 3).
+    """Windows of one sensor. t: (n,) s, middles; count: (n,); mean, variance: (n, 3).
 
     calm_mean, calm_variance: (n, 3), the same without each axis' farthest sample.
     """
@@ -31,10 +33,10 @@ class Windows:
     calm_variance: Array
 
 
-def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
-    """Return statistics of `samples` in windows of `WINDOW` s; windows without samples have count 0."""
-    n = max(1, int((t_end - t_start) / WINDOW))
-    index = ((samples.t - t_start) / WINDOW).astype(np.int64)
+def windows(samples: Samples, t_start: float, t_end: float, width: float = WINDOW) -> Windows:
+    """Return statistics of `samples` in windows of `width` s; windows without samples have count 0."""
+    n = max(1, int((t_end - t_start) / width))
+    index = ((samples.t - t_start) / width).astype(np.int64)
     keep = (index >= 0) & (index < n)
     index, xyz = index[keep], samples.xyz[keep]
     count = np.bincount(index, minlength=n).astype(np.float64)
@@ -46,7 +48,7 @@ def windows(samples: Samples, t_start: float, t_end: float) -> Windows:
     # Without a sample f off the mean moves by -f / (n - 1), and the squares fall by f^2 n / (n - 1).
     others = np.maximum(safe - 1.0, 1.0)
     calm = np.maximum(square - far**2 * safe / others, 0.0) / np.maximum(safe - 2.0, 1.0)
-    middles = np.asarray(t_start + (np.arange(n) + 0.5) * WINDOW, dtype=np.float64)
+    middles = np.asarray(t_start + (np.arange(n) + 0.5) * width, dtype=np.float64)
     return Windows(middles, count, mean + center, square / others, mean + center - far / others, calm)
 
 

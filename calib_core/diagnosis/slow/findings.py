@@ -47,7 +47,7 @@ def slow_statements(
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
         found, left = _jumps(residuals, steps)
     stated = statements_of(residuals, steps)
-    if _along_gravity(residuals, _explained(steps)):
+    if _held(residuals) or _along_gravity(residuals, _explained(steps)):
         beside = []
     elif found:
         beside = [jumps.finding(residuals, found)]
@@ -70,6 +70,11 @@ def _may_show(residuals: SensorResiduals, other: Hypothesis) -> bool:
 def _explained(steps: Sequence[Step]) -> list[Hypothesis]:
     """Return the hypotheses of the steps that are adequate."""
     return [h for step in adequate(steps) for h in step.explained]
+
+
+def _held(residuals: SensorResiduals) -> bool:
+    """Whether a hand may turn the gyroscope in its rests: its rates then scatter as a bias that wanders."""
+    return residuals.sensor == "gyro" and residuals.bins.held
 
 
 def _along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> bool:

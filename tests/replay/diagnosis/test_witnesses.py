@@ -59,7 +59,8 @@ def test_what_one_of_three_sensors_shows_is_told_as_its_own(owner: int) -> None:
 
 @pytest.mark.slow
 def test_a_witness_without_a_gyroscope_has_no_vote_on_one() -> None:
-    drift, brief = np.array([6e-3, 0.0, -3e-3]), 240.0
+    """Five rests, which are too few for either gyroscope to show by itself which one drifts."""
+    drift, brief = np.array([6e-3, 0.0, -3e-3]), 120.0
     one = sensor(2, "one.csv", turned=OBLIQUE, drift=drift, length=brief)
     two = replace(sensor(3, "two.csv", length=brief), gyroscope=None)
     said = judge_with_witnesses(sensor(1, length=brief), [one, two]).answer

@@ -1,4 +1,4 @@
-"""Where the rests of a recording begin and end and are cut into bins, in windows of one second."""
+"""Where the rests of a recording begin and end and are cut into bins, in windows of a second or less."""
 
 from __future__ import annotations
 
@@ -32,6 +32,13 @@ MOST_BINS = 300
 BRIEFEST_BIN = 4
 """Windows of a bin that may lie in motion, or be left beside a plug: three differences tell its noise."""
 
+FACES = 6
+"""Stops that are cut into shorter bins where they would give fewer than `FEW`: on each of its faces once, a
+sensor shows its bias and scale."""
+
+TURNED = 0.2
+"""rad between two attitudes, at least: a phone that lies in a vehicle that brakes leans by less."""
+
 PLUG_LATE = 3.0
 """s by which the event of a plug may come after the plug: a phone tells it when its charger has answered."""
 
@@ -40,7 +47,8 @@ PLUG_LATE = 3.0
 class RestEdges:
     """Where a recording rests, in windows. still: (w,); runs: [first, last) of each rest.
 
-    first, last: (n,) of each bin, at most `MOST_BINS`; rest: (n,), the run that each lies in.
+    first, last: (n,) of each bin, at most `MOST_BINS`; rest: (n,), the run that each lies in. width: s, of a
+    window. stops: number of rests in another attitude than the one before, and the first.
     """
 
     still: NDArray[np.bool_]
@@ -48,6 +56,12 @@ class RestEdges:
     first: Array
     last: Array
     rest: Index
+    width: float = WINDOW
+    stops: int = 0
+
+    def suffices_where(self, other: RestEdges) -> bool:
+        """Whether it cuts the rests on all faces into bins enough, and another does not."""
+        return self.stops >= max(FACES, other.stops) and self.first.size >= FEW > other.first.size
 
     def beside_plugs(self, events: Sequence[Charging], start: float) -> RestEdges:
         """Return bins of which it is known throughout whether the phone was on the charger.
@@ -57,7 +71,10 @@ class RestEdges:
         """
         first, last = self.first.copy(), self.last.copy()
         for event in plugs(events):
-            low, high = np.floor((event.t - PLUG_LATE - start) / WINDOW), np.ceil((event.t - start) / WINDOW)
+            low, high = (
+                np.floor((event.t - PLUG_LATE - start) / self.width),
+                np.ceil((event.t - start) / self.width),
+            )
             touched = (first < high) & (last > low)
             at_end = low - first >= last - high
             last[touched & at_end], first[touched & ~at_end] = low, high
@@ -66,20 +83,31 @@ class RestEdges:
 
 
 def rest_edges(
-    force: Windows, rate: Windows | None, span: tuple[float, float], bin_length: float | None = None
+    force: Windows,
+    rate: Windows | None,
+    span: tuple[float, float],
+    bin_length: float | None = None,
+    width: float = WINDOW,
 ) -> RestEdges:
-    """Find the rests of a recording and cut them into bins of `bin_length` s (None: as in `cut`)."""
+    """Find the rests of a recording and cut them into bins of `bin_length` s (None: as in `cut`).
+
+    width: s, of the windows.
+    """
     if rate is not None:
         force, rate = without_spikes(force, rate), without_spikes(rate, force)
     still = still_seconds(force, rate)
     length = bin_length or max(SHORTEST_BIN, (span[1] - span[0]) / BINS)
     runs = _rests(still, rate, SHORTEST_REST)
-    first, last, rest = _bin_edges(runs, length)
+    first, last, rest = _bin_edges(runs, length / width)
     if first.size < FEW:
         runs = _rests(still, rate, BRIEFEST_REST)
-        first, last, rest = _bin_edges(runs, length)
+        first, last, rest = _bin_edges(runs, length / width)
+    stops = _stops(runs, force.mean)
+    if first.size < FEW and stops >= FACES:
+        at_rest = sum(b - a for a, b in runs)
+        first, last, rest = _bin_edges(runs, max(at_rest / (2 * FEW), BRIEFEST_BIN))
     kept = _longest(last - first)
-    return RestEdges(still, runs, first[kept], last[kept], rest[kept])
+    return RestEdges(still, runs, first[kept], last[kept], rest[kept], width, stops)
 
 
 def _rests(still: NDArray[np.bool_], rate: Windows | None, shortest: int) -> list[tuple[int, int]]:
@@ -88,8 +116,17 @@ def _rests(still: NDArray[np.bool_], rate: Windows | None, shortest: int) -> lis
     return runs if rate is None else without_slow_moves(runs, rate.mean, shortest)
 
 
+def _stops(runs: list[tuple[int, int]], force: Array) -> int:
+    """Return how many runs lie in another attitude than the one before, and the first; force: (w, 3)."""
+    up = np.array([force[a:b].mean(axis=0) for a, b in runs]).reshape(-1, 3)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    turned = (up[1:] * up[:-1]).sum(axis=1) < np.cos(TURNED)
+    return int(turned.sum()) + len(runs[:1])
+
+
 def _bin_edges(runs: list[tuple[int, int]], length: float) -> tuple[Array, Array, Index]:
-    parts = [np.linspace(a, b, max(1, round((b - a) * WINDOW / length)) + 1).round() for a, b in runs]
+    """Return [first, last) of the bins of runs, and the run of each; length: of a bin, in windows."""
+    parts = [np.linspace(a, b, max(1, round((b - a) / length)) + 1).round() for a, b in runs]
     if not parts:
         return np.empty(0), np.empty(0), np.empty(0, dtype=np.int64)
     rest = np.repeat(np.arange(len(parts), dtype=np.int64), [p.size - 1 for p in parts])

@@ -52,7 +52,7 @@ def reasons(found: Comparison) -> set[str]:
     [
         ((900.0, 30, 100), BY_NAME),  # as a drift
         ((400.0, 14, 0), SAME),  # as a curve from a moment on
-        ((120.0, 6, 1), "only 37 s at rest, 74 s are needed"),
+        ((100.0, 5, 1), "only 31 s at rest, 74 s are needed"),
     ],
 )
 def test_a_drift_that_few_rests_show_as_wander_is_no_difference(

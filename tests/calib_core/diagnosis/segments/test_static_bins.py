@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut, overview_of
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 N = 15_000
@@ -87,3 +87,52 @@ def test_a_slow_log_rests_where_it_is_not_turned(rate: float) -> None:
     assert not inside.any() and np.unique(found.rest).size == 2
     assert found.duration.sum() > 0.9 * 3000.0
     np.testing.assert_allclose(np.abs(found.force[:, 2]), 9.81, atol=0.02)
+
+
+RATE_HZ = 100.0
+
+
+def held_by_hand(rest_s: float, count: int = 20) -> tuple[Samples, Samples]:
+    """A sensor held still for rest_s in one attitude after another, turned for a second between."""
+    rng, turn_s = np.random.default_rng(3), 1.0
+    t = np.arange(0.0, count * (rest_s + turn_s), 1.0 / RATE_HZ)
+    number, within = np.divmod(t, rest_s + turn_s)
+    ease = np.clip((within - rest_s) / turn_s, 0.0, 1.0)
+    angle = 0.9 * (number + ease**2 * (3.0 - 2.0 * ease))  # about the axis y
+    force = 9.81 * np.stack([np.sin(angle), np.zeros(t.size), np.cos(angle)], axis=1)
+    rate = np.stack([np.zeros(t.size), np.gradient(angle, t), np.zeros(t.size)], axis=1)
+    noises = rng.normal(0.0, [[[0.01]], [[1e-3]]], (2, t.size, 3))
+    return (
+        Samples.checked(Sensor.ACCELEROMETER, t, force + noises[0]),
+        Samples.checked(Sensor.GYROSCOPE, t, rate + noises[1]),
+    )
+
+
+@pytest.mark.parametrize("rest_s", [2.0, 3.0, 4.5])
+def test_rests_of_few_seconds_are_found_whole_and_known_as_brief(rest_s: float) -> None:
+    accelerometer, gyroscope = held_by_hand(rest_s)
+    seen = cut(accelerometer, gyroscope)
+    assert len(seen) == np.unique(seen.rest).size == 20 and seen.held
+    np.testing.assert_allclose(np.linalg.norm(seen.force, axis=1), 9.81, atol=0.01)
+    into = seen.t % (rest_s + 1.0)
+    assert (into - seen.duration / 2 > -1e-6).all() and (into + seen.duration / 2 < rest_s).all()
+    assert seen.duration.min() > 0.2 * rest_s
+
+
+def test_rests_of_a_minute_are_cut_in_seconds_and_nothing_turns_them() -> None:
+    seen = cut(*held_by_hand(60.0))
+    assert not seen.held and (seen.duration == np.rint(seen.duration)).all()
+
+
+def test_brief_rests_are_not_sought_where_only_part_of_the_samples_is_there() -> None:
+    accelerometer, gyroscope = held_by_hand(3.0)
+    half = accelerometer.xyz.shape[0] // 2
+    part = Samples.checked(Sensor.ACCELEROMETER, accelerometer.t[:half], accelerometer.xyz[:half])
+    assert len(cut(part, gyroscope, overview=overview_of(accelerometer, gyroscope))) == 0
+
+
+def test_six_rests_are_cut_into_enough_bins_and_fewer_are_not() -> None:
+    for count, rest_s, least in ((6, 5.0, 12), (6, 18.0, 12), (5, 18.0, 0)):
+        seen = cut(*held_by_hand(rest_s, count))
+        assert np.unique(seen.rest).size == count
+        assert len(seen) >= least and (least or len(seen) < 12)

@@ -133,10 +133,10 @@ def test_nothing_is_written_over_what_is_read(recording: Maker, written: Writer,
 def test_a_recording_without_stillness_is_not_judged(recording: Maker) -> None:
     real = recording()
     rng = np.random.default_rng(0)
-    up = rng.normal(size=(2000, 3))  # turned elsewhere every two seconds
+    up = rng.normal(size=(2000, 3))  # turned elsewhere every second
     up *= 9.81 / np.linalg.norm(up, axis=1, keepdims=True)
     t = real.accelerometer.t
-    turning = up[((t - t[0]) / 2.0).astype(int)] + rng.normal(0.0, 0.01, (t.size, 3))
+    turning = up[(t - t[0]).astype(int)] + rng.normal(0.0, 0.01, (t.size, 3))
     samples = Samples.checked(Sensor.ACCELEROMETER, t, turning)
     answer = diagnose_recording(Recording(samples, None, [], real.claims, []), "shaken.csv")
     why = {n["effect"]: n["reason"] for n in answer["not_compared"]}
