@@ -43,6 +43,9 @@ MANY, MORE = 40, 1.5
 """Bins from which on rests are not sought in briefer windows; how many times as many stops these must have:
 a calibration takes nine bins, an effect up to nine more."""
 
+PERSISTENT = 3.0
+"""Ratio above which windows follow one another for a motion's sake: a gyroscope that walks far comes to 2."""
+
 NEAR_BINS = 5
 """Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
 
@@ -79,7 +82,7 @@ class Bins:
     activity: (w, 2) s and 1 where the phone moved, per window. vibration: (n,) (m/s^2)^2. span: (start, end)
     s of the recording. Columns that were not recorded are None. force_rounding, rate_rounding: (3,) sd of the
     error that a coarse step of the values leaves in the mean of a rest, the same in all its bins. pose: (n,)
-    index of what the gyroscope saw no turn in, None without one.
+    index of what the gyroscope saw no turn in, None without one. swings: whether what the phone lies on does.
     """
 
     t: Array
@@ -98,6 +101,7 @@ class Bins:
     force_rounding: Array | None = None
     rate_rounding: Array | None = None
     pose: Index | None = None
+    swings: bool = False
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -186,6 +190,7 @@ def cut(
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE),
+        swings=rate is not None and _swings(force.mean, rate.mean, first, last),
         temperature=_bin_temperatures(overview.thermometer, span[0], first, last, width),
         force_rounding=_rounding(accelerometer, force, first, last),
         rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, first, last),
@@ -293,6 +298,28 @@ def _white_variances(values: Array, first: Array, last: Array, least: float) -> 
     return np.asarray(np.maximum(np.where(loud, own, shrunk) / (last - first)[:, None], least**2))
 
 
+def _swings(force: Array, rate: Array, first: Array, last: Array) -> bool:
+    """Whether what the sensor lies on swings, as a ship rolls: windows follow one another in both."""
+    return min(_persistence(values, first, last) for values in (force, rate)) > PERSISTENT
+
+
+def _persistence(values: Array, first: Array, last: Array) -> float:
+    """Return the variance of windows within bins over what their successive differences make of it.
+
+    It is the median over bins, of the axis that has it largest; 1 for white noise (von Neumann 1941).
+    """
+    long = last - first >= BRIEFEST_BIN
+    if not long.any():
+        return 1.0
+    first, last = first[long], last[long]
+    count = (last - first)[:, None]
+    away = values - values.mean(axis=0)
+    spread = _bin_means(away**2, first, last) - _bin_means(away, first, last) ** 2
+    steps = _bin_means(np.diff(values, axis=0) ** 2 / 2.0, first, last - 1.0)
+    ratio = spread * count / (count - 1.0) / np.maximum(steps, LEAST_RATE**2)
+    return float(np.median(ratio, axis=0).max())
+
+
 def _times_exceeded(chance: float, freedom: Array | float) -> Array:
     """Return how many times its mean a chi-squared of some degrees of freedom exceeds by this chance."""
     from scipy.special import chdtri  # noqa: PLC0415 - the daemon stays light
@@ -323,7 +350,7 @@ def _charging(
     first: Array,
     last: Array,
     width: float = WINDOW,
-) -> dict[str, Array | None]:
+) -> dict[str, Any]:
     """Return charging per bin and (m, 2) switching times; before the first event its opposite held."""
     switched = plugs(events)
     if not switched:

@@ -96,6 +96,8 @@ def why_no_slow_noise(exam: Examination, residuals: SensorResiduals) -> str | No
 
 def moves(exam: Examination, sensor: str) -> bool:
     """Whether what the phone lies on moves more than a sensor's bias may wander."""
+    if sensor == "gyro" and exam.bins.swings:
+        return True
     levels = next((s.levels for s in exam.streams if s.sensor == sensor), None)
     return any(hidden_by_motion(r, levels) for r in exam.sensors if r.sensor == sensor and len(r.bins))
 

@@ -105,9 +105,9 @@ def turn_errors(
     """State turns that are off by more than a sound gyroscope's, whatever does it.
 
     found: named effects of the rate, whose sizes are unknown here. Evidence is that of all turns but the one
-    that speaks most for it: a single one may be anything.
+    that speaks most for it: a single one may be anything. On a ship that rolls, gravity is where the deck is.
     """
-    missed = missed_turns(made, bins, gravity, found)
+    missed = None if bins.swings else missed_turns(made, bins, gravity, found)
     if missed is None or not DirectEvidence(missed.nats()).stated:
         return None
     size = (missed.y**2).sum(axis=1) / (missed.variance + (SOUND[1] * missed.angle) ** 2)

@@ -136,3 +136,14 @@ def test_six_rests_are_cut_into_enough_bins_and_fewer_are_not() -> None:
         seen = cut(*held_by_hand(rest_s, count))
         assert np.unique(seen.rest).size == count
         assert len(seen) >= least and (least or len(seen) < 12)
+
+
+@pytest.mark.parametrize(("roll_deg", "swings"), [(0.2, True), (0.0, False)])
+def test_a_ship_that_rolls_swings_and_a_gyroscope_that_walks_does_not(roll_deg: float, swings: bool) -> None:
+    rng, t = np.random.default_rng(4), np.arange(N) / 50.0
+    angle = np.radians(roll_deg) * np.sin(2.0 * np.pi * t / 9.0)
+    force = resting() + 9.81 * np.stack([np.sin(angle), np.zeros(N), np.cos(angle) - 1.0], axis=1)
+    rate = rng.normal(0.0, 1e-3, (N, 3)) + np.cumsum(rng.normal(0.0, 1e-5, (N, 3)), axis=0)
+    rate[:, 1] += np.gradient(angle, t)
+    seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
+    assert len(seen) >= 12 and seen.swings is swings
