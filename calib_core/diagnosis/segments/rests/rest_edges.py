@@ -119,7 +119,7 @@ def _rests(still: NDArray[np.bool_], rate: Windows | None, shortest: int) -> lis
 def _stops(runs: list[tuple[int, int]], force: Array) -> int:
     """Return how many runs lie in another attitude than the one before, and the first; force: (w, 3)."""
     up = np.array([force[a:b].mean(axis=0) for a, b in runs]).reshape(-1, 3)
-    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), 1e-9)
     turned = (up[1:] * up[:-1]).sum(axis=1) < np.cos(TURNED)
     return int(turned.sum()) + len(runs[:1])
 

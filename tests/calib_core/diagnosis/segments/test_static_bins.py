@@ -147,3 +147,8 @@ def test_a_ship_that_rolls_swings_and_a_gyroscope_that_walks_does_not(roll_deg: 
     rate[:, 1] += np.gradient(angle, t)
     seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
     assert len(seen) >= 12 and seen.swings is swings
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_sensor_that_reads_nothing_rests_in_one_attitude() -> None:
+    assert np.unique(bins(np.zeros((N, 3))).rest).size == 1
