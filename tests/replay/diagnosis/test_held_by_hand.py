@@ -27,7 +27,7 @@ def run(folder: Path, *arguments: object, out: str = "out.json") -> dict[str, An
     return answer
 
 
-@pytest.mark.parametrize("pair", [("imu0", "imu2"), ("imu1", "imu2")])
+@pytest.mark.parametrize("pair", [("imu0", "imu2"), pytest.param(("imu1", "imu2"), marks=pytest.mark.slow)])
 def test_biases_differ_by_what_their_calibrations_do(
     data_dir: Path, tmp_path: Path, pair: tuple[str, str]
 ) -> None:
@@ -45,7 +45,9 @@ def test_biases_differ_by_what_their_calibrations_do(
         np.testing.assert_array_less(np.abs(of_each[0] - of_each[1] - apart), (high - low) / 2.0)
 
 
-@pytest.mark.parametrize("name", ["imu0", "imu1", "imu2"])
+@pytest.mark.parametrize(
+    "name", ["imu2", *(pytest.param(n, marks=pytest.mark.slow) for n in ("imu0", "imu1"))]
+)
 def test_a_hand_that_moves_is_no_fault_of_the_sensor(data_dir: Path, tmp_path: Path, name: str) -> None:
     answer = run(tmp_path, "diagnose", data_dir / f"mikoff/{name}.log")
     assert answer["verdict"] == "match" and answer["findings"] == []

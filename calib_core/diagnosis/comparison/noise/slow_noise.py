@@ -96,10 +96,9 @@ def why_no_slow_noise(exam: Examination, residuals: SensorResiduals) -> str | No
 
 def moves(exam: Examination, sensor: str) -> bool:
     """Whether what the phone lies on moves more than a sensor's bias may wander."""
-    if sensor == "gyro" and exam.bins.swings:
-        return True
     levels = next((s.levels for s in exam.streams if s.sensor == sensor), None)
-    return any(hidden_by_motion(r, levels) for r in exam.sensors if r.sensor == sensor and len(r.bins))
+    own = [r for r in exam.sensors if r.sensor == sensor and len(r.bins)]
+    return any(hidden_by_motion(r, levels) or (sensor == "gyro" and r.bins.swings) for r in own)
 
 
 def hidden_by_motion(residuals: SensorResiduals, levels: Levels | None = None) -> bool:
