@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import slow_noise
 from stillcal.calib_core.diagnosis.effects.curves import heating
+from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.moments import moments_of
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -61,45 +63,44 @@ def test_between_bins_that_are_far_apart_the_rate_is_that_from_one_to_the_next()
     np.testing.assert_array_equal(heating(apart, 60.0), heating(apart, 0.0))
 
 
+def quiet_day(day: nulls.Day, error: Array) -> Bins:
+    """Return the bins of a day whose gyroscope is off by `error` (n, 3), rad/s, and hardly wanders."""
+    quiet = {"accel": nulls.Wander(), "gyro": nulls.Wander(pink=5e-6)}
+    return nulls.bins_of(np.random.default_rng(1), day, quiet, gyro_error=error, charger=False)
+
+
+def read_late(late: float) -> SensorResiduals:
+    """Return residuals of a gyroscope whose bias goes with a temperature that is read `late` s after it."""
+    _, day = heated(0.0)
+    bins = quiet_day(day, np.outer(day.temperature - 25.0, [6e-4, -5e-4, 3e-4]))
+    read = np.interp(bins.t - late, day.t, day.temperature)
+    return by_sensor(replace(bins, temperature=read), nulls.G)[1]
+
+
 @pytest.mark.parametrize(("late", "drivers"), [(2.0, ["temperature"]), (60.0, None)])
 def test_a_thermometer_that_is_little_late_leaves_no_second_effect(
     late: float, drivers: list[str] | None
 ) -> None:
     """A second late, by a robot's rests, 1.4 % of the bias gained 7.7 % of what the whole gains."""
-    rng = np.random.default_rng(1)
-    _, day = heated(0.0)
-    error = np.outer(day.temperature - 25.0, [6e-4, -5e-4, 3e-4])
-    quiet = {"accel": nulls.Wander(), "gyro": nulls.Wander(pink=5e-6)}
-    bins = nulls.bins_of(rng, day, quiet, gyro_error=error, charger=False)
-    read = np.interp(bins.t - late, day.t, day.temperature)
-    found = slow_findings(by_sensor(replace(bins, temperature=read), nulls.G)[1])
+    found = slow_findings(read_late(late))
     assert ([f.where.driver for f in found] == ["temperature"]) is (drivers is not None)
     assert found[0].effect == "gyro_bias_temperature" or drivers is None
 
 
 def test_what_is_small_on_an_axis_that_the_name_hardly_moves_is_an_effect_of_its_own() -> None:
     """Of all axes together it is 3 % of the name, which moves another axis."""
-    rng = np.random.default_rng(1)
     _, day = heated(0.0)
     rate = np.gradient(day.temperature)
     error = np.outer(day.temperature - 25.0, [1e-3, 0.0, 0.0])
     error += np.outer(rate / np.abs(rate).max(), [0.0, 2e-4, 0.0])
-    quiet = {"accel": nulls.Wander(), "gyro": nulls.Wander(pink=5e-6)}
-    bins = nulls.bins_of(rng, day, quiet, gyro_error=error, charger=False)
-    found = slow_findings(by_sensor(bins, nulls.G)[1])
+    found = slow_findings(by_sensor(quiet_day(day, error), nulls.G)[1])
     assert [(f.effect, f.axes) for f in found] == [("gyro_bias_temperature", ["x"]), ("unknown", ["y"])]
 
 
 @pytest.mark.parametrize("late", [0.0, 10.0])
 def test_the_error_of_a_names_model_is_no_slow_noise(late: float) -> None:
     """What is fitted beside a name and not told is taken out of what wanders, too."""
-    rng = np.random.default_rng(1)
-    _, day = heated(0.0)
-    error = np.outer(day.temperature - 25.0, [6e-4, -5e-4, 3e-4])
-    quiet = {"accel": nulls.Wander(), "gyro": nulls.Wander(pink=5e-6)}
-    bins = nulls.bins_of(rng, day, quiet, gyro_error=error, charger=False)
-    read = np.interp(bins.t - late, day.t, day.temperature)
-    residuals = by_sensor(replace(bins, temperature=read), nulls.G)[1]
+    residuals = read_late(late)
     (stated,) = slow_statements(residuals)
     assert bool(stated.beside) is (late > 0.0)
     exam: Any = SimpleNamespace(statements=[stated], sensors=[residuals], streams=[])
