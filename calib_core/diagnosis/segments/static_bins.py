@@ -39,9 +39,8 @@ from stillcal.calib_core.streams.time_series import TimeSeries
 
 POOLED_WEIGHT = 30.0
 
-MANY, MORE = 40, 1.5
-"""Bins from which on rests are not sought in briefer windows; how many times as many stops these must have:
-a calibration takes nine bins, an effect up to nine more."""
+MANY = 40
+"""Bins from which on no briefer windows are tried: a calibration takes nine, an effect up to nine more."""
 
 PERSISTENT = 3.0
 """Ratio above which windows follow one another for a motion's sake: a gyroscope that walks far comes to 2."""
@@ -83,6 +82,8 @@ class Bins:
     s of the recording. Columns that were not recorded are None. force_rounding, rate_rounding: (3,) sd of the
     error that a coarse step of the values leaves in the mean of a rest, the same in all its bins. pose: (n,)
     index of what the gyroscope saw no turn in, None without one. swings: whether what the phone lies on does.
+    held: whether rests are so brief that a hand may hold the phone in them, and turn it a little; a table's
+    rows may be parts of longer rests.
     """
 
     t: Array
@@ -102,15 +103,10 @@ class Bins:
     rate_rounding: Array | None = None
     pose: Index | None = None
     swings: bool = False
+    held: bool = False
 
     def __len__(self) -> int:
         return int(self.t.size)
-
-    @property
-    def held(self) -> bool:
-        """Whether rests are so brief that a hand may hold the phone in them, and turn it a little."""
-        seconds = np.bincount(self.rest, weights=self.duration)
-        return bool(seconds.size > 0 and np.median(seconds) < SHORTEST_REST * WINDOW)
 
     def chosen(self, keep: NDArray[np.bool_]) -> Bins:
         """Return the bins where `keep` (n,) holds, their rests numbered anew."""
@@ -168,7 +164,7 @@ def cut(
         brief = windows(accelerometer, *span, width)
         turning = None if gyroscope is None or rate is None else windows(gyroscope, *span, width)
         finer = rest_edges(brief, turning, span, bin_length, width)
-        if finer.stops >= MORE * max(edges.stops, 1) or finer.suffices_where(edges):
+        if finer.shows_more_than(edges):
             edges, force, rate = finer, brief, turning
     edges = edges.beside_plugs(events, span[0])
     if rate is not None:
@@ -191,6 +187,7 @@ def cut(
         rate=None if rate is None else _bin_means(rate.mean, first, last),
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE),
         swings=rate is not None and _swings(force.mean, rate.mean, first, last),
+        held=_held(rest, (last - first) * width),
         temperature=_bin_temperatures(overview.thermometer, span[0], first, last, width),
         force_rounding=_rounding(accelerometer, force, first, last),
         rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, first, last),
@@ -266,8 +263,7 @@ def _near_variances(
         still = _near_variances(values, first[rest], last[rest], least)
         between = [np.interp(centre, centre[rest], axis) for axis in still.T]
         return np.asarray(np.stack(between, axis=1))
-    half = np.diff(values, axis=0) ** 2 / 2.0
-    own = _bin_means(half, first, last - 1.0)
+    own = _by_changes(values, first, last)
     freedom = last[0] - first[0] - 1.0 if first.size else 1.0
     side = NEAR_BINS // 2
     padded = np.pad(own, ((side, side), (0, 0)), mode="reflect") if len(own) > side else own
@@ -278,6 +274,11 @@ def _near_variances(
     return np.asarray(np.maximum(variance / (last - first)[:, None], least**2))
 
 
+def _by_changes(values: Array, first: Array, last: Array) -> Array:
+    """Return the variance (n, 3) of windows that their changes within each bin make of white noise."""
+    return _bin_means(np.diff(values, axis=0) ** 2 / 2.0, first, last - 1.0)
+
+
 def _white_variances(values: Array, first: Array, last: Array, least: float) -> Array:
     """Variance (n, 3) of bin means, from differences of window means inside bins, shrunk to what they share.
 
@@ -285,8 +286,7 @@ def _white_variances(values: Array, first: Array, last: Array, least: float) -> 
     Where most bins show no noise at all, for coarse steps, nothing tells which are louder. It is at least
     `least`^2.
     """
-    half = np.diff(values, axis=0) ** 2 / 2.0
-    own = _bin_means(half, first, last - 1.0)
+    own = _by_changes(values, first, last)
     count = (last - first - 1.0)[:, None]
     if not count.size:
         return own
@@ -296,6 +296,12 @@ def _white_variances(values: Array, first: Array, last: Array, least: float) -> 
     pooled = (own * weight).sum(axis=0) / np.maximum(weight.sum(axis=0), 1.0)
     shrunk = (own * count + pooled * POOLED_WEIGHT) / (count + POOLED_WEIGHT)
     return np.asarray(np.maximum(np.where(loud, own, shrunk) / (last - first)[:, None], least**2))
+
+
+def _held(rest: Index, duration: Array) -> bool:
+    """Whether the usual rest of bins (n,) is brief; duration: (n,) s, of each."""
+    seconds = np.bincount(rest, weights=duration)
+    return bool(seconds.size > 0 and np.median(seconds[seconds > 0.0]) < SHORTEST_REST * WINDOW)
 
 
 def _swings(force: Array, rate: Array, first: Array, last: Array) -> bool:
@@ -315,8 +321,8 @@ def _persistence(values: Array, first: Array, last: Array) -> float:
     count = (last - first)[:, None]
     away = values - values.mean(axis=0)
     spread = _bin_means(away**2, first, last) - _bin_means(away, first, last) ** 2
-    steps = _bin_means(np.diff(values, axis=0) ** 2 / 2.0, first, last - 1.0)
-    ratio = spread * count / (count - 1.0) / np.maximum(steps, LEAST_RATE**2)
+    changes = np.maximum(_by_changes(values, first, last), LEAST_RATE**2)
+    ratio = spread * count / (count - 1.0) / changes
     return float(np.median(ratio, axis=0).max())
 
 

@@ -47,10 +47,10 @@ def slow_statements(
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
         found, left = _jumps(residuals, steps)
     stated = statements_of(residuals, steps)
-    moved = _moved(residuals)
-    if moved:  # what has no name is the motion's
+    turned = _turned_at_rest(residuals)
+    if turned:  # what has no name is the motion's
         stated = [s for s in stated if s.finding.effect != "unknown"]
-    if moved or _along_gravity(residuals, _explained(steps)):
+    if turned or _along_gravity(residuals, _explained(steps)):
         beside = []
     elif found:
         beside = [jumps.finding(residuals, found)]
@@ -75,7 +75,7 @@ def _explained(steps: Sequence[Step]) -> list[Hypothesis]:
     return [h for step in adequate(steps) for h in step.explained]
 
 
-def _moved(residuals: SensorResiduals) -> bool:
+def _turned_at_rest(residuals: SensorResiduals) -> bool:
     """Whether a hand or a ship turns a gyroscope in its rests: its rates scatter as if its bias wandered."""
     return residuals.sensor == "gyro" and (residuals.bins.held or residuals.bins.swings)
 

@@ -182,7 +182,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
             have < ATTITUDES[effect],
             f"{_counted(have, 'attitude')} at rest, {ATTITUDES[effect]} are needed",
         )
-    if effect == "gyro_bias_random_walk" and not exam.is_table:
+    if effect == "gyro_bias_random_walk":
         yield bins.swings, "what it lies on swings"
         yield bins.held, "its rests are brief: a hand that holds it turns it by as much"
     if effect in OF_TURNS:

@@ -39,6 +39,9 @@ sensor shows its bias and scale."""
 TURNED = 0.2
 """rad between two attitudes, at least: a phone that lies in a vehicle that brakes leans by less."""
 
+MORE = 1.5
+"""Times as many stops that briefer windows must show."""
+
 PLUG_LATE = 3.0
 """s by which the event of a plug may come after the plug: a phone tells it when its charger has answered."""
 
@@ -59,9 +62,10 @@ class RestEdges:
     width: float = WINDOW
     stops: int = 0
 
-    def suffices_where(self, other: RestEdges) -> bool:
-        """Whether it cuts the rests on all faces into bins enough, and another does not."""
-        return self.stops >= max(FACES, other.stops) and self.first.size >= FEW > other.first.size
+    def shows_more_than(self, other: RestEdges) -> bool:
+        """Whether it has far more stops than another, or enough bins of all faces where that has too few."""
+        enough = self.stops >= max(FACES, other.stops) and self.first.size >= FEW > other.first.size
+        return enough or self.stops >= MORE * max(other.stops, 1)
 
     def beside_plugs(self, events: Sequence[Charging], start: float) -> RestEdges:
         """Return bins of which it is known throughout whether the phone was on the charger.
