@@ -40,7 +40,7 @@ MOST_PILED = 0.5
 """Part of the samples above which what they lie on is no limit, but a width taken from what was no rest."""
 
 LEAST_LEVELS = 5
-"""Different values that must lie within three standard deviations below a limit."""
+"""Different values below a limit that samples on it are counted against."""
 
 LEAST_VISITS = 3
 """Times that values must come to a limit."""
@@ -132,8 +132,8 @@ def _limit(values: Array, noise: float, least: float) -> Limit | None:
     step = comb_step(values) or 0.0
     # Values of few levels end on their highest by themselves, evenly spaced or not.
     hard = [] if step > noise or np.unique(values).size <= LEAST_LEVELS else [_hard_stop, _stays]
-    stops = (_on_largest(values, noise, step, of) for of in hard)
-    return next((stop for stop in stops if stop), None) or _flat_top(values, noise, least)
+    stops = [stop for of in hard if (stop := _on_largest(values, noise, step, of)) is not None]
+    return max(stops, key=lambda stop: stop.nats, default=None) or _flat_top(values, noise, least)
 
 
 def _on_largest(values: Array, noise: float, step: float, nats_of: _Judge) -> Limit | None:
@@ -159,16 +159,20 @@ def _hard_stop(signed: Array, on: NDArray[np.bool_], scale: _Scale) -> float | N
     """Return nats for values that lie on the very largest one time and again; None where they do not.
 
     Noise would have spread over the steps below it. Evidence is the number of visits to that value, binomial
-    among those and the samples just below.
+    among those and the samples just below. Where hardly any lie there, as below the top of a blow, those on
+    the next `LEAST_LEVELS` values below count, of which the top would be one.
     """
     noise, step = scale.noise, scale.step
-    under = signed[(signed > float(signed.max()) - 3.0 * noise) & ~on]
+    below = signed[~on]
+    under = below[below > float(signed.max()) - 3.0 * noise]
     visits = int((on[1:] & ~on[:-1]).sum())
-    # Values of few levels end on their highest by themselves, evenly spaced or not.
-    if np.unique(under).size < LEAST_LEVELS or on.sum() < LEAST_PILE or visits < LEAST_VISITS:
+    if on.sum() < LEAST_PILE or visits < LEAST_VISITS:
         return None
     # By chance on the top step, or, where there are no steps, within `width` of the top of a sine.
     share = step / (3.0 * noise) if step else float(np.sqrt(scale.width / (3.0 * noise)))
+    if np.unique(under).size < LEAST_LEVELS:
+        under = below[below >= np.unique(below)[-LEAST_LEVELS:].min(initial=np.inf)]
+        share = max(share, 1.0 / LEAST_LEVELS)
     if on.sum() < 5.0 * (under.size * share + 1.0):
         return None
     return of_counts(float(visits), float(visits + under.size), min(share, 0.5))

@@ -156,3 +156,27 @@ def test_swings_that_turn_back_below_a_limit_are_no_speeds_of_a_motor(rate: floa
     found = saturation(swung(rate, 5.2), "gyro", np.full(3, 2e-3), None)
     assert found is not None and found.parameters["limit"].value == pytest.approx(5.2, abs=5e-3)
     assert saturation(swung(rate, np.inf), "gyro", np.full(3, 2e-3), None) is None
+
+
+def knocked(limit: float, step: float, seed: int) -> Samples:
+    """Return an accelerometer at 100 Hz, put down in turn on each axis with knocks of one sample."""
+    rng, n = np.random.default_rng(seed), 12000
+    force = 0.05 * rng.standard_normal((n, 3))
+    for k in range(24):
+        force[k * 500 : (k + 1) * 500, k % 3] += 9.8 * (-1) ** k
+    for row in rng.choice(n, 120, replace=False):
+        force[row] += rng.standard_normal(3) * 15.0
+    force = np.clip(force, -limit, limit)
+    return Samples.checked(
+        Sensor.ACCELEROMETER, np.arange(n) / 100.0, np.round(force / step) * step if step else force
+    )
+
+
+@pytest.mark.parametrize("step", [0.0, 2.4e-3, 0.02])
+@pytest.mark.parametrize("seed", range(3))
+def test_knocks_of_one_sample_that_end_on_one_value_show_a_limit(step: float, seed: int) -> None:
+    """Most reach far beyond it, so that hardly any value lies just below."""
+    noise = np.full(3, 0.05)
+    found = saturation(knocked(10.7, step, seed), "accel", noise, None)
+    assert found is not None and found.parameters["limit"].value == pytest.approx(10.7, abs=0.02)
+    assert saturation(knocked(np.inf, step, seed), "accel", noise, None) is None
