@@ -196,10 +196,11 @@ class Repeats:
         return float(self.together.sum() - self.chance.sum())
 
     def share(self) -> Measured:
-        """Return the part of the samples that is held; nothing where steps alone may make as many."""
+        """Return the part of the samples that is held: where steps may make all, none, to what they make."""
         total, expected = float(self.n * self.together.size), float(self.chance.sum())
         if self.mixed or self.excess < ALLOWED * expected:
-            return Measured(0.0, 1.0 / total)
+            by_steps = max(self.excess, 0.0) + ALLOWED * expected
+            return Measured(0.0, max(by_steps, 1.0) / float(self.judged.sum()))
         part = float(self.judged.sum()) / total
         less, most_likely, more = (part * self._held(k) for k in (1.0 + ALLOWED, 1.0, 1.0 - ALLOWED))
         counted = share_of(most_likely * total, total)

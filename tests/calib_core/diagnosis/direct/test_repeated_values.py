@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, doubled, held, without_held
+from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, Repeats, doubled, held, without_held
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -137,3 +137,20 @@ def test_samples_are_held_where_values_go_on_from_there(step: float, left_out: b
     rate = step * np.rint(rate / step)
     kept = without_held(Samples.checked(Sensor.GYROSCOPE, t, rate))
     assert len(kept) == t.size - 35 * left_out
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_steps_coarser_than_the_noise_leave_open_how_many_samples_are_held(seed: int) -> None:
+    """The share of the coarse copy is within its error of what the fine values show: neither is none."""
+    rng = np.random.default_rng(seed)
+    values = rng.standard_normal((6000, 3))
+    late = np.flatnonzero(rng.random(5999) < 0.03) + 1
+    values[late] = values[late - 1]
+    shares = []
+    for xyz in (values, 1.5 * np.round(values / 1.5)):
+        seen = Repeats.of(Samples.checked(Sensor.ACCELEROMETER, np.arange(6000) / 100.0, xyz))
+        assert seen is not None
+        shares.append(seen.share())
+    fine, coarse = shares
+    assert abs(fine.value - 0.03) < 4.0 * fine.error
+    assert coarse.value == 0.0 and fine.value < 2.0 * coarse.error
