@@ -86,9 +86,9 @@ def shown_of(finding: Mapping[str, Any], name: str, axes: Sequence[str]) -> list
     values = np.asarray(parameter["value"], dtype=np.float64).ravel()
     labels = labels_of(name, values.size)
     if values.size == len(AXES) ** 2:
-        largest = np.argsort(-np.abs(values))[:MOST_ELEMENTS]
-        clear = set(_clear(parameter)) or {int(largest[0])}
-        return sorted(int(i) for i in largest if int(i) in clear)
+        largest = np.argsort(-np.abs(values)).tolist()
+        clear = _clear(parameter) or largest[:1]
+        return sorted([i for i in largest if i in clear][:MOST_ELEMENTS])
     return [i for i, label in enumerate(labels) if label in axes] or list(range(values.size))
 
 

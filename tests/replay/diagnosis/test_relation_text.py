@@ -22,12 +22,7 @@ from stillcal.calib_core.diagnosis.model.records import (
 )
 from stillcal.replay.diagnosis.answer import _finding
 from stillcal.replay.diagnosis.words.names import BUILT_IN
-from stillcal.replay.diagnosis.words.relation_text import (
-    shown_of,
-    statement,
-    told_of_sensor,
-    with_interval,
-)
+from stillcal.replay.diagnosis.words.relation_text import shown_of, statement, told_of_sensor, with_interval
 
 
 def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
@@ -114,6 +109,13 @@ def test_a_matrix_without_a_clear_element_shows_its_largest() -> None:
     recorded = np.diag([0.0, 0.0, 0.06])
     text = told("gyro_scale", "too_small", ["z"], scale=(recorded.tolist(), np.zeros((3, 3)).tolist(), "1"))
     assert "z by z 6.00 ± 0.30 " in text and "(1 of 9 elements)" in text
+
+
+def test_of_a_matrix_a_sure_element_is_shown_though_unsure_ones_are_larger() -> None:
+    recorded, half = np.zeros((3, 3)), np.full((3, 3), 0.02)
+    recorded[:, 2], recorded[2, 0], half[2, 0] = 0.013, 0.012, 0.002
+    scale = {"value": recorded, "ci95": np.stack([recorded - half, recorded + half], 2)}
+    assert shown_of({"difference": {"scale": scale}}, "scale", ["x", "y", "z"]) == [6]
 
 
 @pytest.mark.parametrize(("half", "told_so"), [(4e-3, True), (5e-4, False)])
