@@ -43,6 +43,8 @@ MEASURED_ELSEWHERE = (
 )
 """Findings of one recording by itself whose quantity is measured in both, whether it is a finding or not."""
 
+HELD = "held_samples"
+
 COARSE = "_quantisation"
 """How the effects of coarse values end, of either sensor."""
 
@@ -154,6 +156,12 @@ def stamps_as_compared(samples: Samples) -> StampFaults:
         value = _linear(measured[effect], floor, unit).value if effect in measured else 0.0
         out.append(value if value > least else 0.0)
     return StampFaults(*out)
+
+
+def held_as_compared(exam: Examination) -> dict[str, float]:
+    """Return the shares of samples that are held, by sensor; a sensor that holds none is not among them."""
+    seen = ((key, quantity) for key, quantity in stamp_quantities(exam).items() if key[0] == HELD)
+    return {sensor: float(f"{np.exp(q.value[0]):.3g}") for (_, sensor), q in seen if not q.none}
 
 
 LEAST_SHARE, LEAST_SIGMA = 1e-4, 1e-6

@@ -9,8 +9,10 @@ import msgspec
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.direct import HELD, held_as_compared
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.direct.repeated_values import without_held
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -49,7 +51,8 @@ class Case:
     mapped: the findings, each with its effect in a phone file. beside: those of them that a phone file cannot
     have, such as a bias that follows a logged column; the bins are without what these add. affine: the
     constants fitted with all of them. cutoffs: Hz, of the low-passes that the noise shows, by sensor, also of
-    those that sound phones have. orders: theirs; a phone file's are of the second.
+    those that sound phones have. orders: theirs; a phone file's are of the second. held: shares of samples
+    that repeat the one before, by sensor, also of as many as sound phones hold.
     """
 
     recording: Recording
@@ -61,22 +64,30 @@ class Case:
     affine: AffinePhone
     cutoffs: Mapping[str, float]
     orders: Mapping[str, int]
+    held: Mapping[str, float]
 
     def phone(self) -> Phone:
         """Return the phone that the recording shows, with the effects found. Needs static bins."""
         known = (self.recording, self.bins, self.effects, self.affine)
         made = phone_of(*known, conditions=self.conditions, gravity=self.gravity)
-        gyro = made.gyro and _filtered(made.gyro, self.cutoffs.get("gyro"))
         return msgspec.structs.replace(
-            made, accel=_filtered(made.accel, self.cutoffs.get("accel")), gyro=gyro
+            made,
+            accel=self._as_sampled(made.accel, "accel"),
+            gyro=made.gyro and self._as_sampled(made.gyro, "gyro"),
         )
+
+    def _as_sampled(self, settings: SensorSettings, sensor: str) -> SensorSettings:
+        """Return the settings of a sensor with the low-pass and the held samples that it shows."""
+        found = any((m.finding.effect, m.finding.sensor) == (HELD, sensor) for m in self.mapped)
+        share = 0.0 if found else self.held.get(sensor, 0.0)
+        return msgspec.structs.replace(settings, cutoff_hz=self.cutoffs.get(sensor), held_fraction=share)
 
     def played(self, phone: Phone, conditions: Conditions | None = None) -> Recording:
         """Return what a phone would have recorded of this recording's motion, beside the same columns.
 
         conditions: other than the recording's own, whose reference temperature is its mean.
         """
-        bare = with_errors(self.recording, self.beside, -1.0)
+        bare = with_errors(_fresh(self.recording), self.beside, -1.0)
         motion = motion_of(bare, self.bins, self.affine, self.effects, self.conditions, gravity=self.gravity)
         motion = self._before_low_passes(motion)
         made = resimulate(self.recording, motion, conditions or self.conditions, phone, seed=SEED)
@@ -108,8 +119,11 @@ class Case:
         ]
 
 
-def _filtered(settings: SensorSettings, cutoff: float | None) -> SensorSettings:
-    return settings if cutoff is None else msgspec.structs.replace(settings, cutoff_hz=cutoff)
+def _fresh(recording: Recording) -> Recording:
+    """Return a recording without the samples that are held, which are no motion: a phone holds its own."""
+    gyro = recording.gyroscope
+    accel = without_held(recording.accelerometer)
+    return replace(recording, accelerometer=accel, gyroscope=gyro and without_held(gyro))
 
 
 def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) -> Case:
@@ -132,7 +146,8 @@ def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) 
     seen = {s: one.low_pass for s, one in spectra.items() if one.low_pass}
     cutoffs = {s: float(f"{one.cutoff.value:.4g}") for s, one in seen.items()}
     orders = {s: one.order for s, one in seen.items()}
-    return Case(recording, bins, gravity, conditions, mapped, beside, affine, cutoffs, orders)
+    held = held_as_compared(exam)
+    return Case(recording, bins, gravity, conditions, mapped, beside, affine, cutoffs, orders, held)
 
 
 def with_errors(recording: Recording, known: Sequence[Known], times: float = 1.0) -> Recording:

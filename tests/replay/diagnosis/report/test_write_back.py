@@ -16,6 +16,8 @@ from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
+from stillcal.calib_core.streams.resample import interpolate
+from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.built_in import judge_built_in
 from stillcal.replay.diagnosis.given_simulation import answered
 from stillcal.replay.diagnosis.judged import examined, named
@@ -23,6 +25,7 @@ from stillcal.replay.diagnosis.phone.case import Case, case_of
 from stillcal.replay.diagnosis.phone.phone_effects import map_findings
 from stillcal.replay.diagnosis.phone.phone_file import phone_text, sample_rate
 from stillcal.replay.diagnosis.phone.phone_simulation import judge_phone
+from stillcal.replay.diagnosis.sample_changes import held_at
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.phone import load_phone
 from stillcal.replay.phone.settings import per_axis
@@ -186,6 +189,31 @@ def test_the_phone_has_the_low_pass_that_sound_phones_have_too() -> None:
     assert case_of(made, exam, Comparison()).cutoffs.keys() == {"accel", "gyro"}
     plain = examined(turned(1, turns=8), sought=())
     assert case_of(made, plain, Comparison()).cutoffs == {}
+
+
+def test_the_phone_holds_as_many_samples_as_the_recording_and_its_motion_none() -> None:
+    """One in thirty is within what sound phones hold; played without them, it differed by 300 decades."""
+    whole = turned(1, turns=8)
+    assert whole.gyroscope is not None
+    true = whole.gyroscope.xyz
+    again = np.random.default_rng(4).random(len(whole.gyroscope)) < 0.03
+    accel, gyro = (held_at(samples, again) for samples in (whole.accelerometer, whole.gyroscope))
+    made = replace(whole, accelerometer=accel, gyroscope=gyro)
+    exam = examined(made, sought=())
+    case = case_of(made, exam, compare_with_ideal(exam))
+    phone = case.phone()
+    assert phone.gyro is not None and not case.effects
+    for settings in (phone.accel, phone.gyro):
+        assert settings.held_fraction == pytest.approx(0.03, rel=0.2)
+    fresh = msgspec.structs.replace(phone.gyro, held_fraction=0.0)
+    played = case.played(msgspec.structs.replace(phone, gyro=fresh)).gyroscope
+    assert played is not None
+
+    def off(samples: Samples) -> float:
+        missed = interpolate(gyro.t, samples.t, samples.xyz) - true
+        return float(np.sqrt(np.mean(missed[again] ** 2)))
+
+    assert off(played) < 0.2 * off(gyro)
 
 
 @pytest.mark.parametrize("sensor", ["accelerometer", "gyroscope"])
