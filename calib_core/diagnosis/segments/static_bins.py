@@ -174,19 +174,20 @@ def cut(
     if rate is not None:
         one, turned = poses.poses(edges.runs, force.mean, rate.mean, rate.count, width)
         rest, pose = one[rest], poses.of_bins(turned, first, last)
+    swings = rate is not None and _swings(force.mean, rate.mean, first, last, rest)
     return Bins(
         t=span[0] + (first + last) * 0.5 * width,
         duration=(last - first) * width,
         rest=_numbered(rest),
         pose=pose,
         force=_bin_means(force.mean, first, last),
-        force_variance=_white_variances(force.mean, first, last, LEAST_FORCE),
+        force_variance=_white_variances(force.mean, first, last, LEAST_FORCE, swings),
         vibration=_bin_means(force.variance.sum(axis=1, keepdims=True), first, last)[:, 0],
         activity=np.stack([overview.force.t, active], axis=1),
         span=span,
         rate=None if rate is None else _bin_means(rate.mean, first, last),
-        rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE),
-        swings=rate is not None and _swings(force.mean, rate.mean, first, last),
+        rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE, swings),
+        swings=swings,
         held=_held(rest, (last - first) * width),
         temperature=_bin_temperatures(overview.thermometer, span[0], first, last, width),
         force_rounding=_rounding(accelerometer, force, first, last),
@@ -279,14 +280,21 @@ def _by_changes(values: Array, first: Array, last: Array) -> Array:
     return _bin_means(np.diff(values, axis=0) ** 2 / 2.0, first, last - 1.0)
 
 
-def _white_variances(values: Array, first: Array, last: Array, least: float) -> Array:
+def _by_spread(values: Array, first: Array, last: Array) -> Array:
+    """Return the variance (n, 3) of windows about the mean of each bin."""
+    count, away = (last - first)[:, None], values - values.mean(axis=0)
+    spread = _bin_means(away**2, first, last) - _bin_means(away, first, last) ** 2
+    return np.asarray(np.maximum(spread, 0.0) * count / np.maximum(count - 1.0, 1.0))
+
+
+def _white_variances(values: Array, first: Array, last: Array, least: float, swings: bool = False) -> Array:
     """Variance (n, 3) of bin means, from differences of window means inside bins, shrunk to what they share.
 
     A bin that is louder than that by more than chance has its own: what shakes it does not shake the others.
     Where most bins show no noise at all, for coarse steps, nothing tells which are louder. It is at least
-    `least`^2.
+    `least`^2. Of what `swings` the mean is as uncertain as windows scatter: some of a swing is left in it.
     """
-    own = _by_changes(values, first, last)
+    own = _by_spread(values, first, last) if swings else _by_changes(values, first, last)
     count = (last - first - 1.0)[:, None]
     if not count.size:
         return own
@@ -304,26 +312,35 @@ def _held(rest: Index, duration: Array) -> bool:
     return bool(seconds.size > 0 and np.median(seconds[seconds > 0.0]) < SHORTEST_REST * WINDOW)
 
 
-def _swings(force: Array, rate: Array, first: Array, last: Array) -> bool:
+def _swings(force: Array, rate: Array, first: Array, last: Array, rest: Index) -> bool:
     """Whether what the sensor lies on swings, as a ship rolls: windows follow one another in both."""
-    return min(_persistence(values, first, last) for values in (force, rate)) > PERSISTENT
+    return min(_persistence(values, first, last, rest) for values in (force, rate)) > PERSISTENT
 
 
-def _persistence(values: Array, first: Array, last: Array) -> float:
+def _persistence(values: Array, first: Array, last: Array, rest: Index) -> float:
     """Return the variance of windows within bins over what their successive differences make of it.
 
-    It is the median over bins, of the axis that has it largest; 1 for white noise (von Neumann 1941).
+    It is the median over bins, of the axis that has it largest; 1 for white noise (von Neumann 1941). What
+    goes on in the same direction from bin to bin, as a bias does that is heated, is no swing.
     """
     long = last - first >= BRIEFEST_BIN
     if not long.any():
         return 1.0
-    first, last = first[long], last[long]
-    count = (last - first)[:, None]
-    away = values - values.mean(axis=0)
-    spread = _bin_means(away**2, first, last) - _bin_means(away, first, last) ** 2
-    changes = np.maximum(_by_changes(values, first, last), LEAST_RATE**2)
-    ratio = spread * count / (count - 1.0) / changes
-    return float(np.median(ratio, axis=0).max())
+    first, last, rest = first[long], last[long], rest[long]
+    away = values - _trend(values - values.mean(axis=0), first, last, rest)
+    changes = np.maximum(_by_changes(away, first, last), LEAST_RATE**2)
+    return float(np.median(_by_spread(away, first, last) / changes, axis=0).max())
+
+
+def _trend(values: Array, first: Array, last: Array, rest: Index) -> Array:
+    """Return by how much windows (w, 3) differ from their bin's mean on a line between the bins beside it."""
+    mean, centre, index = _bin_means(values, first, last), (first + last) / 2.0, np.arange(first.size)
+    joined = np.diff(rest) == 0
+    before, after = index - np.append(False, joined), index + np.append(joined, False)
+    slope = (mean[after] - mean[before]) / np.maximum(centre[after] - centre[before], 1.0)[:, None]
+    window = np.arange(len(values))
+    lies = np.clip(np.searchsorted(first, window, side="right") - 1, 0, None)
+    return np.asarray(slope[lies] * (window + 0.5 - centre[lies])[:, None])
 
 
 def _times_exceeded(chance: float, freedom: Array | float) -> Array:

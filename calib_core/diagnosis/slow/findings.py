@@ -47,10 +47,10 @@ def slow_statements(
         steps = [step for step in adequate(steps) if jumps.stands(residuals, step.winner, found)]
         found, left = _jumps(residuals, steps)
     stated = statements_of(residuals, steps)
-    turned = _turned_at_rest(residuals)
-    if turned:  # what has no name is the motion's
+    moved = _moved_at_rest(residuals)
+    if moved:  # what has no name is the motion's
         stated = [s for s in stated if s.finding.effect != "unknown"]
-    if turned or _along_gravity(residuals, _explained(steps)):
+    if moved or _along_gravity(residuals, _explained(steps)):
         beside = []
     elif found:
         beside = [jumps.finding(residuals, found)]
@@ -75,9 +75,12 @@ def _explained(steps: Sequence[Step]) -> list[Hypothesis]:
     return [h for step in adequate(steps) for h in step.explained]
 
 
-def _turned_at_rest(residuals: SensorResiduals) -> bool:
-    """Whether a hand or a ship turns a gyroscope in its rests: its rates scatter as if its bias wandered."""
-    return residuals.sensor == "gyro" and (residuals.bins.held or residuals.bins.swings)
+def _moved_at_rest(residuals: SensorResiduals) -> bool:
+    """Whether a ship moves a sensor in its rests, or a hand a gyroscope: it reads as if its bias wandered.
+
+    A deck that rolls heaves, too: the force is longer and shorter by turns.
+    """
+    return residuals.bins.swings or (residuals.sensor == "gyro" and residuals.bins.held)
 
 
 def _along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> bool:

@@ -182,9 +182,10 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
             have < ATTITUDES[effect],
             f"{_counted(have, 'attitude')} at rest, {ATTITUDES[effect]} are needed",
         )
-    if effect == "gyro_bias_random_walk":
+    if effect.endswith("bias_random_walk"):
         yield bins.swings, "what it lies on swings"
-        yield bins.held, "its rests are brief: a hand that holds it turns it by as much"
+        why = "its rests are brief: a hand that holds it turns it by as much"
+        yield bins.held and sensor == "gyro", why
     if effect in OF_TURNS:
         have = 0 if exam.aligned is None else len(exam.aligned.turns)
         turns = _counted(have, "turn")

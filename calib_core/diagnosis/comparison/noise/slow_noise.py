@@ -98,7 +98,7 @@ def moves(exam: Examination, sensor: str) -> bool:
     """Whether what the phone lies on moves more than a sensor's bias may wander."""
     levels = next((s.levels for s in exam.streams if s.sensor == sensor), None)
     own = [r for r in exam.sensors if r.sensor == sensor and len(r.bins)]
-    return any(hidden_by_motion(r, levels) or (sensor == "gyro" and r.bins.swings) for r in own)
+    return any(hidden_by_motion(r, levels) or r.bins.swings for r in own)
 
 
 def hidden_by_motion(residuals: SensorResiduals, levels: Levels | None = None) -> bool:

@@ -149,6 +149,36 @@ def test_a_ship_that_rolls_swings_and_a_gyroscope_that_walks_does_not(roll_deg: 
     assert len(seen) >= 12 and seen.swings is swings
 
 
+@pytest.mark.parametrize("rest_s", [300.0, 48.0])
+def test_biases_that_are_heated_do_not_swing(rest_s: float) -> None:
+    """3 K a minute, as in a chamber, up and down, in a whole rest as in several of five bins."""
+    rng, t = np.random.default_rng(5), np.arange(N) / 50.0
+    kelvin = 0.05 * np.abs((t + 60.0) % 240.0 - 120.0)
+    force = resting(0.002) + kelvin[:, None] * np.array([6e-3, -3e-3, 5e-3])
+    rate = rng.normal(0.0, 3e-4, (N, 3)) + kelvin[:, None] * np.array([7e-4, -2e-4, 3e-4])
+    moved = t % rest_s > rest_s - 2.0
+    force[moved] += rng.normal(0.0, 2.0, (int(moved.sum()), 3))
+    seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
+    assert len(seen) >= 12 and not seen.swings
+
+
+def test_the_mean_of_a_bin_that_swings_is_as_uncertain_as_it_is() -> None:
+    """What windows change by made it too sure by a factor of four, in both sensors."""
+    rng, t = np.random.default_rng(6), np.arange(N) / 50.0
+    angle = np.radians(0.5) * np.sin(2.0 * np.pi * t / 14.0)
+    force = 9.81 * np.stack([np.sin(angle), np.zeros(N), np.cos(angle)], axis=1)
+    rate = rng.normal(0.0, 1e-3, (N, 3))
+    rate[:, 1] += np.gradient(angle, t)
+    force += rng.normal(0.0, 0.005, (N, 3))
+    seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
+    assert seen.swings and seen.rate is not None and seen.rate_variance is not None
+    for mean, variance in (
+        (seen.rate[:, 1], seen.rate_variance[:, 1]),
+        (seen.force[:, 0], seen.force_variance[:, 0]),
+    ):
+        assert 0.3 < (mean**2 / variance).mean() < 3.0
+
+
 @pytest.mark.filterwarnings("error")
 def test_a_sensor_that_reads_nothing_rests_in_one_attitude() -> None:
     assert np.unique(bins(np.zeros((N, 3))).rest).size == 1
