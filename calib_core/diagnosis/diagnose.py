@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.clear_bins import (
 )
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.axis_exchange import garbled, other_axes, turns_between
-from stillcal.calib_core.diagnosis.direct.dead_zone import dead_zone
+from stillcal.calib_core.diagnosis.direct.dead_zone import dead_zone, hides_rest, is_zone
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -121,8 +121,7 @@ def examine(
     zones = [f for s, x in as_read.items() if s in silent and x is not None and (f := dead_zone(x, s))]
     bins = still_bins(accelerometer, gyroscope, events, seconds)
     made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled, silent=silent)
-    if zones:
-        made = replace(made, statements=[*map(Stated, zones), *_beside_zones(made.statements, zones)])
+    made = _hidden_by_zones(replace(made, statements=[*map(Stated, zones), *made.statements]))
     progress(MEASURED)
     made = _with_slow(made, covariates, without, sought, progress)
     made = _with_motion(made, without, sound, in_turns=sought is None, of_turns=of_turns)
@@ -130,10 +129,25 @@ def examine(
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
 
 
-def _beside_zones(statements: Sequence[Stated], zones: Sequence[Finding]) -> list[Stated]:
-    """Return what samples show beside dead zones: their edges are jumps, and may look like anything."""
-    sensors = {zone.sensor for zone in zones}
-    return [s for s in statements if s.finding.effect != "unknown" or s.finding.sensor not in sensors]
+def _hidden_by_zones(exam: Examination) -> Examination:
+    """Return an examination whose streams say which of them a dead zone hides at rest.
+
+    The edges of such a zone are jumps, and may look like anything that has no name.
+    """
+    found = [s.finding for s in exam.statements]
+
+    def hidden(stream: Stream) -> bool:
+        taken = any(is_zone(f) and f.sensor == stream.sensor for f in found)
+        return taken and (stream.silent or hides_rest(found, stream.sensor, stream.raw.pieces))
+
+    hides = [replace(s, levels=None, spectra=None, hidden=True) if hidden(s) else s for s in exam.streams]
+    taken = {s.sensor for s in hides if s.hidden}
+    kept = [
+        s
+        for s, f in zip(exam.statements, found, strict=True)
+        if f.effect != "unknown" or is_zone(f) or f.sensor not in taken
+    ]
+    return replace(exam, streams=hides, statements=kept)
 
 
 def _of_samples(
@@ -198,7 +212,8 @@ def _with_slow(
     if not len(exam.bins):
         return exam
     search = partial(slow_statements, without=without, sought=sought)
-    sensors = about_nonlinearity(by_sensor(exam.bins, exam.claims.gravity, covariates, exam.gyroscope))
+    every = by_sensor(exam.bins, exam.claims.gravity, covariates, exam.gyroscope)
+    sensors = about_nonlinearity([r for r in every if r.sensor != "gyro" or not exam.zone_at_rest])
     stated = list(exam.statements)
     garbled_one = "" if exam.other_axes else exam.exchanged
     for i, residuals in enumerate(sensors):

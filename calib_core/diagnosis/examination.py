@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.diagnosis.clear_bins import CLEAR, limits_of
-from stillcal.calib_core.diagnosis.direct.dead_zone import is_zone
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Claims, Diagnosis, Finding
@@ -63,9 +62,8 @@ class Examination:
 
     @property
     def zone_at_rest(self) -> bool:
-        """Whether a dead zone takes away all that the gyroscope reads at rest, its bias too."""
-        silent = any(s.silent for s in self.streams if s.sensor == "gyro")
-        return silent and any(is_zone(s.finding) for s in self.statements if s.finding.sensor == "gyro")
+        """Whether a dead zone takes what the gyroscope reads at rest, its bias too."""
+        return any(s.hidden for s in self.streams if s.sensor == "gyro")
 
     @property
     def with_turns(self) -> list[SensorResiduals]:

@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.direct.quantities import of_noise
 from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import AXES, Claims, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
@@ -52,7 +52,8 @@ class Stream:
     calm: the samples without single outliers, which lines, levels and steps are read from; lines: the
     vibrations found, which are taken off what the rests show of noise (`still`); period: a slower one, not
     looked for where the lines were known; raw: the same rests with the outliers; silent: whether its noise is
-    not its own, but was added to a sensor without any (then there are no levels).
+    not its own, but was added to a sensor without any (then there are no levels); hidden: whether a dead zone
+    takes what it reads at rest (then there are neither spectra nor levels).
     """
 
     sensor: str
@@ -67,6 +68,7 @@ class Stream:
     spectra: Spectra | None
     levels: noise.Levels | None
     silent: bool = False
+    hidden: bool = False
 
     @classmethod
     def of(cls, sensor: str, samples: Samples, bins: Bins, lines: list[Finding] | None = None) -> Stream:
@@ -199,7 +201,7 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
     if stream.spectra is None or stream.levels is None:
         return []
     sensor = stream.sensor
-    where = Where(*stream.span, (0.0, stream.still.rate / 2.0), "noise at rest")
+    where = Where(*stream.span, (0.0, stream.still.rate / 2.0), AT_REST)
     fine = not stream.steps.blurs_level()
     at_rest = (stream.spectra, stream.levels, sensor, stream.bins)
     other = (changing(*at_rest) or by_force(*at_rest)) if fine else None

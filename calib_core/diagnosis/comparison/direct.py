@@ -118,7 +118,7 @@ def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple
             share = _linear(measured, floor, 1.0)
             quantity = _logarithm(key, Part("fraction", "1", 1), share, LEAST_SHARE, samples)
         out[key] = measured, quantity
-    for stream in (s for s in exam.streams if not s.silent):
+    for stream in (s for s in exam.streams if not (s.silent or s.hidden)):
         for effect, measured in quantities.of_values(stream.samples).items():
             key, share = (effect, stream.sensor), _linear(measured, LEAST_HELD, 1.0)
             part = Part("fraction", "1", 1)

@@ -6,6 +6,7 @@ never with a chance of 2^-n. What has no name: drivers that hold the zero, gates
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
-from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT, comb_step
 from stillcal.calib_core.streams.samples import Samples
 
@@ -39,6 +40,9 @@ MOST_STANDING = 0.9
 
 LEAST_VISITS = 5
 """Visits to the surroundings, on either side."""
+
+HIDDEN = 0.02
+"""Part of the samples at rest that read the one value, from which on rests show neither bias nor noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +112,17 @@ def is_zone(finding: Finding) -> bool:
     return finding.effect == "unknown" and finding.where.driver == DRIVER
 
 
+def hides_rest(found: Sequence[Finding], sensor: str, rests: Sequence[Array]) -> bool:
+    """Whether a dead zone among the findings takes what a sensor reads at rest; rests: (n, 3) values each."""
+    axes = {AXES.index(a) for zone in found if is_zone(zone) and zone.sensor == sensor for a in zone.axes}
+    if not axes or not rests:
+        return False
+    still = np.concatenate(rests)
+    return any(np.unique(still[:, a], return_counts=True)[1].max() > HIDDEN * len(still) for a in axes)
+
+
 def beside(found: list[Finding], zone: Finding | None) -> list[Finding]:
     """Return one sensor's findings and the zone, without what it does to the noise."""
-    return found if zone is None else [zone, *(f for f in found if f.effect not in SPOILED)]
+    if zone is None:
+        return found
+    return [zone, *(f for f in found if f.effect not in SPOILED and f.where.driver != AT_REST)]

@@ -16,6 +16,9 @@ NAME = {"accel": "accelerometer", "gyro": "gyroscope"}
 FARTHER = 1.1
 """Ratio of held-out errors, rms, from which they have grown: two standard errors of 200 bins."""
 
+AT_REST = "noise at rest"
+"""What drives an effect that the noise of the rests shows."""
+
 SLOW_BAND = (0.0, 0.05)
 """Frequencies that means over bins of 10 s and more can show, Hz."""
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, Measured
-from stillcal.calib_core.diagnosis.model.records import Alternative, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AT_REST, Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.noise.low_pass import LowPass, Spectra, low_pass_finding
 
 DELAY = "accel_gyro_time_offset"
@@ -81,9 +81,7 @@ class FilterDelay:
         """
         if abs(total.value - self.delay.value) > abs(self.delay.value):
             return None
-        where = Where(
-            delay.where.t_start, delay.where.t_end, (0.0, self.spectrum.rate / 2.0), "noise at rest"
-        )
+        where = Where(delay.where.t_start, delay.where.t_end, (0.0, self.spectrum.rate / 2.0), AT_REST)
         own = delay.evidence
         others = [Alternative(DELAY, own.heldout_log_score_gain or 0.0, True)] if alone else []
         return low_pass_finding(

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Sought
-from stillcal.calib_core.diagnosis.comparison.noise.white_noise import BLURRED, why_no_density
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import BLURRED, HIDDEN, why_no_density
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.effects.by_force import FEWEST_OF_DEGREE, FEWEST_OF_G, distinct
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
@@ -161,7 +161,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
     column, moving = _of_columns(exam).get((effect, sensor), ("", True))
     yield not moving, f"{driver_of(column)} does not change at rest, so nothing can follow it"
     yield sensor == exam.exchanged, "its axes are exchanged"
-    yield effect in OF_TURNS and exam.zone_at_rest, "a dead zone hides what it reads at rest"
+    yield sensor == "gyro" and exam.zone_at_rest, HIDDEN
     yield from _of_rest(exam, sensor)
     if column:
         return

@@ -54,8 +54,8 @@ def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
     streams = [s for s in exam.streams if s.sensor == sensor]
     if effect in (white_noise.LEVEL, white_noise.LOW_PASS):
         return white_noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
-    if effect == "held_samples" and streams and streams[0].silent:
-        return white_noise.NONE_AT_ALL
+    if effect == "held_samples" and streams and (streams[0].silent or streams[0].hidden):
+        return white_noise.why_no_density(streams[0])
     if sensor == "timing":
         unlooked = next((c.reason for c in direct_checks(exam) if (c.effect, c.sensor) == key), None)
         return unlooked or exam.why_no_delay or uninformed(effect)

@@ -12,7 +12,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Difference,
 from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.model.records import AXES, Where
+from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, Where
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
 from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
 from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
@@ -36,6 +36,7 @@ BENEATH_STEPS = float(np.log(1.5))
 half as much again is seen of it, or less, by where between two steps the values lie."""
 
 NONE_AT_ALL = "it has no noise at all"
+HIDDEN = "a dead zone hides what it reads at rest"
 BLURRED = "its values come in steps larger than the noise"
 UNSTEADY = "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
 REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
@@ -66,6 +67,8 @@ def density(stream: Stream) -> Quantity | None:
     Beneath steps larger than it, it is known roughly (`BENEATH_STEPS`): rests differ by where between two
     steps they lie.
     """
+    if stream.hidden:
+        return None
     if stream.silent:
         return _density(stream, np.full(3, SILENT))
     levels = stream.levels
@@ -90,7 +93,7 @@ def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quan
         np.full(3, ALIKE_DENSITY),
         np.arange(3),
         logarithmic=True,
-        where=Where(*stream.span, (0.0, stream.still.rate / 2.0), "noise at rest"),
+        where=Where(*stream.span, (0.0, stream.still.rate / 2.0), AT_REST),
         none=errors is None,
     )
 
@@ -193,7 +196,7 @@ def _low_pass(stream: Stream) -> Quantity | None:
         np.array([-1]),
         logarithmic=True,
         reference={} if spectra.low_pass is None else {"order": spectra.low_pass.order},
-        where=Where(*stream.span, (0.0, spectra.rate / 2.0), "noise at rest"),
+        where=Where(*stream.span, (0.0, spectra.rate / 2.0), AT_REST),
         none=spectra.low_pass is None,
     )
 
@@ -246,6 +249,7 @@ def why_no_density(stream: Stream) -> str:
     """Say why a stream's white noise is not shown: the first reason that applies."""
     levels = stream.levels
     reasons = (
+        (stream.hidden, HIDDEN),
         (stream.silent, NONE_AT_ALL),
         (stream.repeats_many, REPEATED),
         (levels is not None and stream.steps.blurs_level(), BLURRED),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.dead_zone import beside, dead_zone
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
@@ -51,14 +52,14 @@ def test_a_dead_zone_of_a_few_steps_is_found(codes: int) -> None:
 
 
 def test_the_noise_that_is_left_beside_a_dead_zone_is_not_judged() -> None:
-    def finding(effect: str) -> Finding:
-        where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), DirectEvidence(99.0)
+    def finding(effect: str, driver: str = "own input") -> Finding:
+        where, seen = Where(0.0, 1.0, (0.0, 1.0), driver), DirectEvidence(99.0)
         made = direct_finding(effect, "gyro", [0], where, {}, statement="", seen=seen)
         assert made is not None
         return made
 
     level, limit, zone = finding("noise_level"), finding("gyro_saturation"), finding("unknown")
-    assert beside([level, limit], zone) == [zone, limit]
+    assert beside([level, limit, finding("unknown", "noise at rest")], zone) == [zone, limit]
     assert beside([level, limit], None) == [level, limit]
 
 
@@ -93,3 +94,22 @@ def test_a_zone_wider_than_noise_and_bias_is_found_though_rests_have_no_noise() 
     zones = [s.finding for s in exam.statements if s.finding.sensor == "gyro"]
     assert [(f.effect, f.where.driver) for f in zones] == [("unknown", "inputs that are nearly none")]
     assert exam.turns is None and exam.zone_at_rest
+
+
+@pytest.mark.parametrize("width", [0.0032, 0.02])
+def test_what_a_zone_hides_at_rest_is_not_compared(width: float) -> None:
+    """The bias and the noise of the simulation were called superfluous, or too large and too small."""
+    recording = turned(1, lambda force, rate: (force, rate), turns=16)
+    simulation = turned(2, lambda force, rate: (force, rate), turns=16, motion=1)
+    bias = np.array([0.003, -0.0025, 0.002])
+    exams = []
+    for one, zone in ((recording, width), (simulation, 0.0)):
+        assert one.gyroscope is not None
+        gyro = replace(one.gyroscope, xyz=frozen(zoned(one.gyroscope.xyz + bias, 0.0, zone)))
+        exams.append(examine(one.accelerometer, gyro))
+    compared = compare(exams[0], exams[1], ("real.csv", "sim.csv"))
+    assert [(d.effect, d.sensor) for d in compared.discrepancies] == [("unknown", "gyro")]
+    untold = {m.effect: m.reason for m in compared.not_compared if m.sensor == "gyro"}
+    for effect in ("gyro_bias", "gyro_scale", "gyro_slow_noise", "noise_level", "held_samples"):
+        assert untold[effect] == "real.csv: a dead zone hides what it reads at rest"
+    assert ("noise_level", "accel") in {(a.recorded.effect, a.recorded.sensor) for a in compared.agreed}
