@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.maths.sines import without_vibrations
 from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
@@ -44,6 +45,12 @@ FLATTENED = 1.0
 """ln of power over a filter's, at frequencies that it suppresses: what is more is no noise of that filter."""
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
+
+UNSTEADY = 2.0
+"""Times the scatter that chance makes of the rests' power, above which they differ."""
+
+QUIETEST = 0.1
+"""Part of the rests that has no more than the sensor's own noise, where they differ."""
 
 LOBE = 2.0
 """Frequencies of a spectrum on either side of a line that a Hann window spreads it over."""
@@ -165,7 +172,33 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
     # Hann windows that overlap by half leave 0.95 independent averages a segment (Welch 1967).
     averages = 0.95 * np.maximum(2 * sizes // length - 1, 1)
     low_pass = _low_pass(f, np.median(power, axis=0), band, (still.rate, floor), float(averages.sum()))
+    if low_pass is not None:
+        own = quietest(power[:, band], averages)
+        typical = np.median(power[own], axis=0)
+        low_pass = _low_pass(f, typical, band, (still.rate, floor), float(averages[own].sum()))
     return Spectra(times, f, power, averages, band, still.rate, low_pass)
+
+
+def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
+    """Return which pieces (n,) show the sensor's own noise: all, or the quietest where chance parts them not.
+
+    A filter shapes every rest alike. What a hand adds to some of them falls with frequency, too, and is in
+    the quietest ones least. power: (n, F, 3); averages: (n,). Pieces in which coarse values hold still count
+    as loud.
+    """
+    level = power.mean(axis=(1, 2))
+    # A spectrum that falls has its power in few frequencies.
+    typical = power.mean(axis=(0, 2))
+    many = 3.0 * float(typical.sum() ** 2 / np.maximum((typical**2).sum(), 1e-300))
+    chance = float(np.sqrt(SHARED / (np.median(averages) * many)))
+    near = UNSTEADY * chance + 0.02
+    middle = float(np.median(level))
+    if MAD_TO_SD * float(np.median(np.abs(level - middle))) < near * middle:
+        return np.ones(level.size, dtype=bool)
+    level = np.where((power > 0.0).all(axis=(1, 2)), level, np.inf)
+    least = float(np.quantile(level, QUIETEST, method="lower")) * (1.0 + 1.28 * chance)
+    fewest = np.sort(level)[min(LEAST_PIECES, level.size) - 1]
+    return np.asarray(level <= max(least * (1.0 + near), float(fewest)))
 
 
 def _shapes(f: Array, cutoffs: Array, rate: float) -> list[tuple[int, Array]]:

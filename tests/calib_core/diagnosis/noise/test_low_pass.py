@@ -112,3 +112,20 @@ def test_rests_that_follow_each_other_are_not_one_piece() -> None:
     for rest, count in (([0, 0, 0, 0], 2), ([0, 1, 1, 2], 1)):
         bins = SimpleNamespace(t=4.875 + 10.0 * np.arange(4), duration=np.full(4, 10.0), rest=np.array(rest))
         assert len(quiet_of(samples, cast(Any, bins)).pieces) == count
+
+
+@pytest.mark.parametrize("cutoff", [None, 20.0])
+def test_a_hand_that_trembles_in_some_rests_is_no_low_pass(cutoff: float | None) -> None:
+    """Of a watch worn in 11 of 20 rests a low-pass at 13 Hz was told, that none of the others shows."""
+    pieces = WHITE.copy() if cutoff is None else averaged(cutoff)
+    trembling = lfilter(
+        *butter(1, 2.0 * 10.0 / RATE), np.random.default_rng(5).normal(size=(11, 1000, 3)), axis=1
+    )
+    pieces[:11] += 3.0 * trembling
+    found = judged(quiet(pieces))
+    assert found is not None
+    if cutoff is None:
+        assert found.low_pass is None
+    else:
+        assert found.low_pass is not None
+        assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
