@@ -36,6 +36,9 @@ from stillcal.calib_core.diagnosis.slow.about_force import about_point
 from stillcal.calib_core.diagnosis.slow.estimate import averaged
 from stillcal.calib_core.diagnosis.slow.relinearised import AboutTurns
 
+FEWEST = 3
+"""Bins that show a gyroscope's bias, which needs no attitudes; what changes it needs more of them."""
+
 MODEL_ERROR = 0.03
 """Standard deviation of the model's own error in an effect's numbers, as a part of the largest of them:
 residuals are linear in the effects, and no effect is exactly of its named form."""
@@ -67,8 +70,9 @@ def every_linear_quantity(
     """Return what `linear_quantities` does, also of effects that come more than once, such as steps."""
     out: list[Quantity] = []
     for residuals in exam.with_turns:
-        if len(residuals.bins) >= thresholds.LEAST_BINS:
-            own = [w for w in wanted if w.kind == kind_of(residuals)]
+        enough = len(residuals.bins) >= thresholds.LEAST_BINS
+        if enough or (residuals.sensor == "gyro" and len(residuals.bins) >= FEWEST):
+            own = [w for w in wanted if enough and w.kind == kind_of(residuals)]
             out += _fitted(exam, residuals, own, reference_c.get(residuals.sensor), about or {})
     return out
 

@@ -91,3 +91,21 @@ def test_the_gyroscopes_scale_of_few_turns_is_off_by_its_errors() -> None:
         away = found.value - (np.linalg.inv(GYRO) - np.eye(3)).ravel()
         off.append(away @ np.linalg.solve(found.covariance, away) / away.size)
     assert 0.6 < np.mean(off) < 1.6
+
+
+@pytest.mark.parametrize("seconds", [45.0, 100.0])
+def test_a_rest_of_a_minute_shows_the_bias_of_a_gyroscope_and_nothing_else(seconds: float) -> None:
+    """It was not compared with a simulation's: twelve bins of 10 s are needed for what changes it."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, seconds, 0.01)
+    bias = np.array([5e-3, -1e-2, 3e-3])
+    force = np.array([0.3, -0.5, 9.78]) + rng.normal(0.0, 0.02, (t.size, 3))
+    rate = bias + rng.normal(0.0, 1.5e-3, (t.size, 3))
+    still = (
+        Samples(sensor, frozen(t), frozen(xyz))
+        for sensor, xyz in ((Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate))
+    )
+    found = linear_quantities(examine(*still), [], {})
+    assert [*found] == [("gyro_bias", "gyro")]
+    shown = found["gyro_bias", "gyro"]
+    error = np.sqrt(shown.covariance.diagonal())
+    assert (np.abs(np.abs(shown.value) - np.abs(bias)) < 3.0 * error).all() and (error < 5e-4).all()
