@@ -24,7 +24,6 @@ from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
-from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.maths.sines import without_vibrations
 from stillcal.calib_core.maths.welch import densities
 from stillcal.calib_core.streams.samples import Samples
@@ -47,10 +46,10 @@ SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
 
 UNSTEADY = 2.0
-"""Times the scatter that chance makes of the rests' power, above which they differ."""
+"""Times the scatter that chance makes of a rest's power, beyond which it differs from the quietest ones."""
 
 QUIETEST = 0.1
-"""Part of the rests that has no more than the sensor's own noise, where they differ."""
+"""Part of the rests that has no more than the sensor's own noise, and that may be louder."""
 
 LOBE = 2.0
 """Frequencies of a spectrum on either side of a line that a Hann window spreads it over."""
@@ -180,7 +179,7 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
 
 
 def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
-    """Return which pieces (n,) show the sensor's own noise: all, or the quietest where chance parts them not.
+    """Return which pieces (n,) show the sensor's own noise: those that only chance parts from the quietest.
 
     A filter shapes every rest alike. What a hand adds to some of them falls with frequency, too, and is in
     the quietest ones least. power: (n, F, 3); averages: (n,). Pieces in which coarse values hold still count
@@ -192,13 +191,12 @@ def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
     many = 3.0 * float(typical.sum() ** 2 / np.maximum((typical**2).sum(), 1e-300))
     chance = float(np.sqrt(SHARED / (np.median(averages) * many)))
     near = UNSTEADY * chance + 0.02
-    middle = float(np.median(level))
-    if MAD_TO_SD * float(np.median(np.abs(level - middle))) < near * middle:
-        return np.ones(level.size, dtype=bool)
     level = np.where((power > 0.0).all(axis=(1, 2)), level, np.inf)
     least = float(np.quantile(level, QUIETEST, method="lower")) * (1.0 + 1.28 * chance)
     fewest = np.sort(level)[min(LEAST_PIECES, level.size) - 1]
-    return np.asarray(level <= max(least * (1.0 + near), float(fewest)))
+    own = np.asarray(level <= max(least * (1.0 + near), float(fewest)))
+    # A tenth that is louder moves no median far.
+    return own if own.mean() < 1.0 - QUIETEST else np.ones_like(own)
 
 
 def _shapes(f: Array, cutoffs: Array, rate: float) -> list[tuple[int, Array]]:
