@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.diagnosis.segments.rests.rest_edges import PLUG_LATE, RestEdges, rest_edges
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut, overview_of
+from stillcal.calib_core.diagnosis.segments.windows import windows
+from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 N = 15_000
@@ -124,6 +130,43 @@ def test_rests_of_a_minute_are_cut_in_seconds_and_nothing_turns_them() -> None:
     assert not seen.held and (seen.duration == np.rint(seen.duration)).all()
 
 
+def test_brief_rests_have_their_own_temperature_and_end_before_a_plug() -> None:
+    brief, _ = held_by_hand(3.0)
+    warming = replace(brief, temperature=frozen(20.0 + 0.05 * brief.t))
+    seen = cut(warming, None)
+    assert seen.temperature is not None and len(seen) == 20
+    np.testing.assert_allclose(seen.temperature, 20.0 + 0.05 * seen.t, atol=0.02)
+    plug = 4.0 * 8 + 2.0  # in the middle of the ninth rest
+    plugged = cut(warming, None, (Charging(0.0, False), Charging(plug, True)))
+    begin, end = plugged.t - plugged.duration / 2.0, plugged.t + plugged.duration / 2.0
+    assert len(plugged) >= 19 and not ((begin < plug - 1e-6) & (end > plug - PLUG_LATE)).any()
+
+
+def test_rests_in_the_attitude_before_are_no_stops() -> None:
+    """A table that is knocked every few seconds is no calibration by hand."""
+    force, rate = resting(), np.random.default_rng(2).normal(0.0, 1e-3, (N, 3))
+    knocked = np.arange(N) % 150 < 25
+    force[knocked] += np.random.default_rng(3).normal(0.0, 2.0, (int(knocked.sum()), 3))
+    t = np.arange(N) / 50.0
+    samples = (Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
+    seconds = overview_of(*samples)
+    brief = [windows(one, *seconds.span, 0.25) for one in samples]
+    edges = rest_edges(brief[0], brief[1], seconds.span, width=0.25)
+    assert len(edges.runs) > 50 and edges.stops == 1
+
+
+def test_briefer_windows_are_taken_for_far_more_stops_or_for_bins_enough() -> None:
+    def edges(stops: int, bins: int) -> RestEdges:
+        none = np.zeros(bins)
+        return RestEdges(np.zeros(0, dtype=np.bool_), [], none, none, none.astype(np.int64), stops=stops)
+
+    assert edges(30, 30).shows_more_than(edges(20, 20))
+    assert not edges(29, 29).shows_more_than(edges(20, 20))
+    assert edges(6, 12).shows_more_than(edges(6, 11))
+    assert not edges(5, 12).shows_more_than(edges(5, 11))
+    assert not edges(6, 13).shows_more_than(edges(6, 12))
+
+
 def test_brief_rests_are_not_sought_where_only_part_of_the_samples_is_there() -> None:
     accelerometer, gyroscope = held_by_hand(3.0)
     half = accelerometer.xyz.shape[0] // 2
@@ -147,6 +190,14 @@ def test_a_ship_that_rolls_swings_and_a_gyroscope_that_walks_does_not(roll_deg: 
     rate[:, 1] += np.gradient(angle, t)
     seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
     assert len(seen) >= 12 and seen.swings is swings
+
+
+def test_what_only_one_sensor_shows_is_no_swing() -> None:
+    rng, t = np.random.default_rng(4), np.arange(N) / 50.0
+    rate = rng.normal(0.0, 1e-3, (N, 3))
+    rate[:, 1] += 2e-3 * np.sin(2.0 * np.pi * t / 14.0)
+    force = Samples.checked(Sensor.ACCELEROMETER, t, resting())
+    assert not cut(force, Samples.checked(Sensor.GYROSCOPE, t, rate)).swings
 
 
 @pytest.mark.parametrize("rest_s", [300.0, 48.0])
