@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE as ALIKE_DELA
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
@@ -216,12 +217,18 @@ def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
     """Return the finding of another recording that is of the same cause; None without one.
 
     Effect and sensor are the same; so is the driver of what has no name, and a line's frequency or a period,
-    for two lines are two vibrations. Of several lines it is the nearest in frequency.
+    for two lines are two vibrations. Of several lines it is the nearest in frequency. One vibration may be
+    steady in one recording, and come and go in the other.
     """
-    same = [o for o in others if (o.effect, o.sensor) == (finding.effect, finding.sensor)]
-    same = [o for o in same if o.effect != "unknown" or o.where.driver == finding.where.driver]
+    same = [o for o in others if o.sensor == finding.sensor and _same_kind(finding, o)]
     same = [o for o in same if all(_alike(finding, o, name) for name in (LINE, "period_s"))]
     return min(same, key=lambda o: _octaves(finding, o), default=None)
+
+
+def _same_kind(one: Finding, other: Finding) -> bool:
+    if is_line(one) and is_line(other):
+        return True
+    return one.effect == other.effect and (one.effect != "unknown" or one.where.driver == other.where.driver)
 
 
 def partner(finding: Finding, own: Sequence[Finding], others: Sequence[Finding]) -> Finding | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     ALIKE,
     MEASURED_ELSEWHERE,
     direct_statements,
+    pair_of,
     partner,
     quantities_of,
     stamp_quantities,
@@ -34,6 +36,11 @@ from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key
 from stillcal.calib_core.diagnosis.comparison.without_name import by_its_driver, is_course, may_be_had
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import same_line, would_show
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+
+NOT_AS_LARGE = "its rests would not show one of this size"
 
 Reasons = Mapping[Key, str | None]
 """Why an effect was not looked for; None where it was."""
@@ -113,7 +120,11 @@ def differences_of_samples(
         (sides[1], sides[0], 0, names[0], False),
     ):
         for finding in own:
-            pair = partner(finding, own, others)
+            pair = partner(finding, own, others) or _echo(finding, others, exams[other])
+            if pair is not None and _come_and_go_apart(finding, pair):
+                if finding.effect == "unknown":
+                    sole.append((_beside_steady(finding, pair, name), of_recording))
+                continue
             if pair is not None and not is_course(finding):
                 why = by_its_driver(finding, exams[1 - other])
                 if of_recording and why is not None:
@@ -128,6 +139,7 @@ def differences_of_samples(
                 continue
             unlooked = reasons[other].get((finding.effect, finding.sensor))
             reason = why_not_shown(finding, exams[other]) or unlooked
+            reason = reason or _why_no_line(finding, exams[1 - other], exams[other])
             hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)
             reason = reason or may_be_had(finding, exams[1 - other], exams[other])
             reason = reason or _too_small(finding, exams[1 - other], exams[other])
@@ -137,6 +149,42 @@ def differences_of_samples(
             else:
                 sole.append((finding, of_recording))
     return both, sole, unseen
+
+
+def _come_and_go_apart(one: Finding, other: Finding) -> bool:
+    """Whether a vibration comes and goes in one of two recordings, and is there for more of the other."""
+    if one.effect == other.effect:
+        return False
+    shares = [np.ravel(f.parameters["fraction"].ci95) for f in (one, other)]
+    (low, high), (least, most) = shares
+    return bool(high < least or most < low)
+
+
+def _beside_steady(finding: Finding, steady: Finding, name: str) -> Finding:
+    """Say of a vibration that comes and goes that another recording has it all along."""
+    also = f"In {name} the vibration at {middle_hz(steady):.4g} Hz is steady."
+    return replace(finding, remark=" ".join(filter(None, (finding.remark, also))))
+
+
+def _echo(finding: Finding, others: Sequence[Finding], other: Examination) -> Finding | None:
+    """Return another recording's line that is not stated, as its other sensor has it; None without one."""
+    if not is_line(finding):
+        return None
+    stated = [o.where for o in others if o.sensor == finding.sensor]
+    lines = [line for s in other.streams if s.sensor == finding.sensor for line in s.lines]
+    return pair_of(finding, [line for line in lines if line.where not in stated])
+
+
+def _why_no_line(finding: Finding, own: Examination, other: Examination) -> str | None:
+    """Say why another recording may have a line of this one all the same; None where it has not."""
+    streams = [s for s in other.streams if s.sensor == finding.sensor]
+    if not is_line(finding) or not streams:
+        return None
+    rate = 1.0 / max(sample_period(e.accelerometer.t) for e in (own, other))
+    for line in streams[0].lines:
+        if same_line(middle_hz(finding), middle_hz(line), rate):
+            return f"its vibration at {middle_hz(line):.4g} Hz may be the same one, folded back"
+    return None if would_show(streams[0].calm, finding.sensor, finding) else NOT_AS_LARGE
 
 
 def _same_rate(finding: Finding, own: Examination, other: Examination) -> Finding | None:
@@ -160,11 +208,14 @@ def _too_small(finding: Finding, own: Examination, other: Examination) -> str | 
         return None
     if (why := obstacle(other, finding.effect, finding.sensor)) is not None:
         return why
-    where = "turns" if stated.residuals.turns else "rests"
-    return None if shows_as_large(other, stated) else f"its {where} would not show one of this size"
+    if shows_as_large(other, stated):
+        return None
+    return "its turns would not show one of this size" if stated.residuals.turns else NOT_AS_LARGE
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:
+    if one.effect != other.effect:  # a vibration whose name one of the two does not show
+        one, other = (replace(f, effect="vibration_tone") for f in (one, other))
     pair = quantities_of(one, other)
     return [] if pair is None else [subtract(*pair)]
 
