@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
@@ -36,6 +38,12 @@ LEAST_SHARE = 1e-3
 """Share of samples in bursts that is none, on the logarithmic scale of populations."""
 
 LEAST_SAMPLES = 200
+
+MOST_OFF = 0.2
+"""Part of its rate by which no sensor's oscillator is off: datasheets allow 1 to 15 %. Beyond, stamps leave
+out pauses, or count another unit."""
+
+DRIVER = "stamps that pass another time than the host"
 
 
 def timing_findings(samples: Samples, claims: Claims, sound: SoundPhones) -> list[Finding]:
@@ -155,7 +163,19 @@ def _skew(
     say = f"The sensor's clock runs {abs(value) * 1e6:.0f} ppm {'fast' if value > 0.0 else 'slow'}."
     parameter = {"relative": total.parameter("1")}
     seen = max((s for _, s in sure), key=lambda s: s.log_bayes_factor)
-    return direct_finding("clock_skew", "timing", [], where, parameter, statement=say, seen=seen)
+    found = direct_finding("clock_skew", "timing", [], where, parameter, statement=say, seen=seen)
+    return found if found is None or arrived is None else _no_clock(found, parts[0][0].value)
+
+
+def _no_clock(found: Finding, against_host: float) -> Finding:
+    """Return a clock's error, without the name where no clock is so far off the host's."""
+    if abs(against_host) <= MOST_OFF:
+        return found
+    say = (
+        f"The stamps pass {1.0 + against_host:.3g} s in each second of the host's time, which no clock does:"
+        " they leave out pauses, or are in another unit."
+    )
+    return replace(found, effect="unknown", where=replace(found.where, driver=DRIVER), statement=say)
 
 
 def _product(rates: list[Measured]) -> Measured:
