@@ -73,6 +73,7 @@ def test_a_half_that_speaks_against_the_noise_of_the_whole_takes_it_back() -> No
     assert borne_out(found, [narrow, narrow], sound_phones(), None)
     assert not borne_out(found, [narrow, flat], sound_phones(), None)
     assert borne_out(found, [{}, narrow], sound_phones(), None), "a half that cannot tell"
+    assert not borne_out(found, [{}, {}], sound_phones(), None), "a few rests, of which one may decide"
 
 
 def test_two_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
