@@ -16,7 +16,6 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     ALIKE,
     MEASURED_ELSEWHERE,
     direct_statements,
-    pair_of,
     partner,
     quantities_of,
     stamp_quantities,
@@ -37,8 +36,9 @@ from stillcal.calib_core.diagnosis.comparison.without_name import by_its_driver,
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
-from stillcal.calib_core.diagnosis.noise.lines.line_put_in import same_line, would_show
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import every_line, same_line, would_show
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.diagnosis.stream import SAME_HZ
 
 NOT_AS_LARGE = "its rests would not show one of this size"
 
@@ -111,7 +111,8 @@ def differences_of_samples(
     Returned are differences of what both have; what one alone has, and whether it is the recording; what the
     other could not show, or was found by its driver.
     """
-    sides = (direct_statements(exams[0]), direct_statements(exams[1]))
+    sides = _with_echoes((direct_statements(exams[0]), direct_statements(exams[1])), exams)
+    lines = (_Lines(exams[0]), _Lines(exams[1]))
     both: list[Difference] = []
     sole: list[Sole] = []
     unseen: list[NotCompared] = []
@@ -120,17 +121,18 @@ def differences_of_samples(
         (sides[1], sides[0], 0, names[0], False),
     ):
         for finding in own:
-            pair = partner(finding, own, others) or _echo(finding, others, exams[other])
+            stated = partner(finding, own, others)
+            pair = stated or lines[other].unstated(finding, own, others)
             if pair is not None and _come_and_go_apart(finding, pair):
-                if finding.effect == "unknown":
-                    sole.append((_beside_steady(finding, pair, name), of_recording))
+                if finding.effect == "unknown" or stated is None:
+                    sole.append(_beside_steady(finding, pair, names, of_recording))
                 continue
             if pair is not None and not is_course(finding):
                 why = by_its_driver(finding, exams[1 - other])
                 if of_recording and why is not None:
                     unseen.append(NotCompared(finding.effect, finding.sensor, f"both: {why}"))
-                elif of_recording:
-                    both += _paired(finding, pair)
+                elif of_recording or stated is None:
+                    both += _paired(*((finding, pair) if of_recording else (pair, finding)))
                 continue
             measured = step_of_other(finding, exams[other])
             measured = measured or _same_rate(finding, exams[1 - other], exams[other])
@@ -139,7 +141,7 @@ def differences_of_samples(
                 continue
             unlooked = reasons[other].get((finding.effect, finding.sensor))
             reason = why_not_shown(finding, exams[other]) or unlooked
-            reason = reason or _why_no_line(finding, exams[1 - other], exams[other])
+            reason = reason or lines[other].why_none(finding, own, others, exams[1 - other])
             hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)
             reason = reason or may_be_had(finding, exams[1 - other], exams[other])
             reason = reason or _too_small(finding, exams[1 - other], exams[other])
@@ -160,31 +162,82 @@ def _come_and_go_apart(one: Finding, other: Finding) -> bool:
     return bool(high < least or most < low)
 
 
-def _beside_steady(finding: Finding, steady: Finding, name: str) -> Finding:
-    """Say of a vibration that comes and goes that another recording has it all along."""
-    also = f"In {name} the vibration at {middle_hz(steady):.4g} Hz is steady."
-    return replace(finding, remark=" ".join(filter(None, (finding.remark, also))))
+def _beside_steady(one: Finding, other: Finding, names: Sequence[str], of_recording: bool) -> Sole:
+    """Say of the one of two vibrations that comes and goes that the other recording has it all along.
+
+    of_recording: whether the first is the recording's. Returned is also whose the unsteady one is.
+    """
+    if one.effect != "unknown":
+        one, other, of_recording = other, one, not of_recording
+    also = f"In {names[int(of_recording)]} the vibration at {middle_hz(other):.4g} Hz is steady."
+    return replace(one, remark=" ".join(filter(None, (one.remark, also)))), of_recording
 
 
-def _echo(finding: Finding, others: Sequence[Finding], other: Examination) -> Finding | None:
-    """Return another recording's line that is not stated, as its other sensor has it; None without one."""
-    if not is_line(finding):
-        return None
-    stated = [o.where for o in others if o.sensor == finding.sensor]
-    lines = [line for s in other.streams if s.sensor == finding.sensor for line in s.lines]
-    return pair_of(finding, [line for line in lines if line.where not in stated])
+def _with_echoes(
+    sides: tuple[list[Finding], list[Finding]], exams: tuple[Examination, Examination]
+) -> tuple[list[Finding], list[Finding]]:
+    """Return what both state, also the gyroscope's lines that are told with the accelerometer's of both.
+
+    A vibration that both recordings have may shake the gyroscope in one of them alone.
+    """
+
+    def told_with(exam: Examination, own: list[Finding], others: list[Finding]) -> list[Finding]:
+        felt = [f for f in own if f.sensor == "accel" and is_line(f) and partner(f, own, others)]
+        known = [f.where for f in own if f.sensor == "gyro"]
+        lines = [line for s in exam.streams if s.sensor == "gyro" for line in s.lines]
+        heard = [line for line in lines if line.where not in known]
+        return [line for line in heard if any(abs(middle_hz(line) - middle_hz(f)) < SAME_HZ for f in felt)]
+
+    one, other = sides
+    return [*one, *told_with(exams[0], one, other)], [*other, *told_with(exams[1], other, one)]
 
 
-def _why_no_line(finding: Finding, own: Examination, other: Examination) -> str | None:
-    """Say why another recording may have a line of this one all the same; None where it has not."""
-    streams = [s for s in other.streams if s.sensor == finding.sensor]
-    if not is_line(finding) or not streams:
-        return None
-    rate = 1.0 / max(sample_period(e.accelerometer.t) for e in (own, other))
-    for line in streams[0].lines:
-        if same_line(middle_hz(finding), middle_hz(line), rate):
-            return f"its vibration at {middle_hz(line):.4g} Hz may be the same one, folded back"
-    return None if would_show(streams[0].calm, finding.sensor, finding) else NOT_AS_LARGE
+class _Lines:
+    """The lines that a recording has, stated or not; those that are not stated are looked for when needed."""
+
+    def __init__(self, exam: Examination) -> None:
+        self._streams = {s.sensor: s for s in exam.streams}
+        self._period = sample_period(exam.accelerometer.t)
+        self._every: dict[str, list[Finding]] = {}
+        self._hidden: dict[str, list[Finding]] = {}
+
+    def _of(self, sensor: str) -> list[Finding]:
+        if sensor not in self._every:
+            stream = self._streams.get(sensor)
+            self._every[sensor] = [] if stream is None else every_line(stream.calm, sensor, stream.lines)
+        return self._every[sensor]
+
+    def unstated(self, finding: Finding, own: Sequence[Finding], others: Sequence[Finding]) -> Finding | None:
+        """Return a line like one of another recording that is not among those stated; None without one.
+
+        The other sensor's line may stand for it, or others be surer. own: what that recording states;
+        others: what this one does.
+        """
+        if not is_line(finding):
+            return None
+        stated = [o.where for o in others if o.sensor == finding.sensor]
+        return partner(finding, own, [f for f in self._of(finding.sensor) if f.where not in stated])
+
+    def why_none(
+        self, finding: Finding, own: Sequence[Finding], others: Sequence[Finding], exam: Examination
+    ) -> str | None:
+        """Say why this may have a line of another recording all the same; None where it has not.
+
+        exam: of that recording; the others are those of `unstated`.
+        """
+        sensor = finding.sensor
+        if not is_line(finding) or sensor not in self._streams:
+            return None
+        rate = 1.0 / max(self._period, sample_period(exam.accelerometer.t))
+        for line in self._of(sensor):
+            if same_line(middle_hz(finding), middle_hz(line), rate):
+                return f"its vibration at {middle_hz(line):.4g} Hz may be the same one, folded back"
+        if sensor not in self._hidden:
+            lines = [f for f in own if f.sensor == sensor and is_line(f)]
+            absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
+            shown = would_show(self._streams[sensor].calm, sensor, absent, self._of(sensor))
+            self._hidden[sensor] = [f for f, seen in zip(absent, shown, strict=True) if not seen]
+        return NOT_AS_LARGE if any(finding is f for f in self._hidden[sensor]) else None
 
 
 def _same_rate(finding: Finding, own: Examination, other: Examination) -> Finding | None:

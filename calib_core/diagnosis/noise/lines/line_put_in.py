@@ -1,4 +1,4 @@
-"""Whether rests would show a line of another recording: one is put in and looked for.
+"""Whether rests would show lines of another recording: they are put in and looked for.
 
 Rests that are fewer, shorter or louder do not show every line that others do, and no more than the surest are
 stated of any.
@@ -6,6 +6,7 @@ stated of any.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,15 +15,22 @@ from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
-from stillcal.calib_core.diagnosis.noise.lines.spectral_line import NEAR, SHORT, tones
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
+    LEAST_LINE_HZ,
+    MOST_LINES,
+    MOST_TRIED,
+    NEAR,
+    SHORT,
+    tones,
+)
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
 PART = 0.7
 """Part of the amplitude that is put in, so that a line which is there and was missed is not called absent."""
 
-ASIDE_HZ = 1.0
-"""It is put in so far aside: on top of one that is there and was missed it would add to that."""
+ASIDE_HZ = (1.0, 2.0, 3.0, 0.0)
+"""It is put in so far aside, first of these where no other line is: on top of one it would add to that."""
 
 SAME_HZ = NEAR / SHORT
 """Difference of two lines' frequencies that is none, beside `CLOCKS`."""
@@ -31,17 +39,44 @@ CLOCKS = 1e-3
 """Part of a frequency by which two clocks may put one line apart."""
 
 
-def would_show(samples: Samples, sensor: str, line: Finding) -> bool:
-    """Whether the rests of one sensor would show a line that was found in those of another recording."""
-    size = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)
-    share = float(np.asarray(line.parameters["fraction"].value))
+def every_line(samples: Samples, sensor: str, stated: Sequence[Finding]) -> list[Finding]:
+    """Return the lines of one sensor's rests, also those that are not stated, as enough others are surer."""
+    if len(stated) < MOST_LINES:
+        return list(stated)
     rate = 1.0 / sample_period(samples.t)
-    own = folded(middle_hz(line), rate)
-    aside = own + ASIDE_HZ if own < rate / 4.0 else own - ASIDE_HZ
-    wave = np.sin(2.0 * np.pi * aside * (samples.t - samples.t[0]))
-    louder = samples.xyz + PART * np.sqrt(share) * np.outer(wave, size)
-    found = tones(replace(samples, xyz=frozen(louder)), sensor)
-    return any(same_line(aside, middle_hz(one), rate) for one in found)
+    found = tones(samples, sensor, most=MOST_TRIED)
+    known = [middle_hz(line) for line in stated]
+    return [*stated, *(f for f in found if not any(same_line(middle_hz(f), hz, rate) for hz in known))]
+
+
+def would_show(
+    samples: Samples, sensor: str, lines: Sequence[Finding], others: Sequence[Finding] = ()
+) -> list[bool]:
+    """Return which lines, found in another recording, the rests of one sensor would show, all put in at once.
+
+    others: `every_line` of these rests.
+    """
+    rate = 1.0 / sample_period(samples.t)
+    there = [folded(middle_hz(one), rate) for one in others]
+    louder = samples.xyz
+    placed: list[float] = []
+    for line in lines:
+        size = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)
+        share = float(np.asarray(line.parameters["fraction"].value))
+        placed.append(_aside(folded(middle_hz(line), rate), [*there, *placed], rate))
+        wave = np.sin(2.0 * np.pi * placed[-1] * (samples.t - samples.t[0]))
+        louder = louder + PART * np.sqrt(share) * np.outer(wave, size)
+    found = tones(replace(samples, xyz=frozen(louder)), sensor, most=MOST_TRIED)
+    return [any(same_line(aside, middle_hz(one), rate) for one in found) for aside in placed]
+
+
+def _aside(own: float, others: Sequence[float], rate: float) -> float:
+    """Return a frequency, Hz, near a line's own at which nothing else is."""
+    inward = 1.0 if own < rate / 4.0 else -1.0
+    tried = [own + way * inward * away for away in ASIDE_HZ for way in (1.0, -1.0)]
+    within = [f for f in tried if LEAST_LINE_HZ < f < 0.49 * rate]
+    free = (f for f in within if all(abs(f - other) > 2.0 * SAME_HZ for other in others))
+    return next(free, own + inward * ASIDE_HZ[0])
 
 
 def same_line(one: float, other: float, rate: float) -> bool:

@@ -89,18 +89,20 @@ class AtRest:
         return None if self.places is None or seen is None else CoherentSpectrum.of(self.places, seen)
 
 
-def tones(samples: Samples, sensor: str, rests: AtRest | None = None) -> list[Finding]:
-    """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, `MOST_LINES` at most.
+def tones(
+    samples: Samples, sensor: str, rests: AtRest | None = None, most: int = MOST_LINES
+) -> list[Finding]:
+    """Find the lines of one sensor above `LEAST_LINE_HZ`, the surest first, so many at most.
 
     rests: of these samples, where they are laid out already.
     """
     rests = rests or AtRest.of(samples, sensor)
     places = rests.places
-    found = _of_any_length(places, sensor, rests.short)
-    steady = [] if places is None else _coherent(places, sensor, rests.coherent, found)
+    found = _of_any_length(places, sensor, rests.short, most)
+    steady = [] if places is None else _coherent(places, sensor, rests.coherent, found, most)
     clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
-    surest = sorted(lines, key=lambda f: -_nats(f))[:MOST_LINES]
+    surest = sorted(lines, key=lambda f: -_nats(f))[:most]
     return surest if places is None else with_harmonics(surest, 1.0 / places.period)
 
 
@@ -119,7 +121,7 @@ def _nats(found: Finding) -> float:
 
 
 def _coherent(
-    places: Places, sensor: str, spectrum: CoherentSpectrum | None, found: Sequence[Finding]
+    places: Places, sensor: str, spectrum: CoherentSpectrum | None, found: Sequence[Finding], most: int
 ) -> list[Finding]:
     """Return lines that keep their phase through the recording, and foretell more than those `found` do.
 
@@ -131,7 +133,7 @@ def _coherent(
     seen, left = spectrum.seen, spectrum
     steady: list[Finding] = []
     tried: list[float] = []
-    while len(steady) < MOST_LINES and len(tried) < MOST_TRIED:
+    while len(steady) < most and len(tried) < MOST_TRIED:
         one = left.clearest(sensor, (LEAST_LINE_HZ, np.inf), tried)
         if one is None:
             break
@@ -172,19 +174,20 @@ def _size(line: Finding) -> float:
     return float(np.linalg.norm(line.parameters["amplitude"].value))
 
 
-def _of_any_length(places: Places | None, sensor: str, short: Stretches | None) -> list[Finding]:
-    found, more = _lines(sensor, short)
+def _of_any_length(places: Places | None, sensor: str, short: Stretches | None, most: int) -> list[Finding]:
+    found, more = _lines(sensor, short, (), most)
     plain = [f for f in found if _nats(f) > PLAIN]
-    if len(plain) == MOST_LINES:
+    if len(plain) == most:
         return plain
-    faint, _ = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain)
+    faint, _ = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain, most)
     apart = NEAR / SHORT
     lines = [*plain, *faint]
     lines += [f for f in found if all(abs(middle_hz(f) - middle_hz(other)) > apart for other in lines)]
     if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
-        return _lines(sensor, stretches(places, sensor, BRIEF))[0]
-    if short is not None and more and len(lines) < MOST_LINES:
-        lines += [f for f in _lines(sensor, stretches(places, sensor, MOMENT), lines)[0] if _narrow(short, f)]
+        return _lines(sensor, stretches(places, sensor, BRIEF), (), most)[0]
+    if short is not None and more and len(lines) < most:
+        brief, _ = _lines(sensor, stretches(places, sensor, MOMENT), lines, most)
+        lines += [f for f in brief if _narrow(short, f)]
     return lines
 
 
@@ -195,7 +198,9 @@ def _narrow(seen: Stretches, line: Finding) -> bool:
     return rows.size > 0 and narrow(profile(seen, rows, at), 3 * rows.size)
 
 
-def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -> tuple[list[Finding], bool]:
+def _lines(
+    sensor: str, seen: Stretches | None, known: Sequence[Finding], most: int
+) -> tuple[list[Finding], bool]:
     """Return the lines of some stretches, one after the other, each without those before; not `known` ones.
 
     Where the strongest that stands out is none, as it is brief, broad or of a body, it is passed over. One
@@ -223,7 +228,7 @@ def _lines(sensor: str, seen: Stretches | None, known: Sequence[Finding] = ()) -
             passed |= _of_one_cause(seen, middle, pace)
             continue
         found.append(line)
-        if len(found) + len(known) == MOST_LINES:
+        if len(found) + len(known) == most:
             break
         left = left.without(middle_hz(line), apart)
         ratio = left.ratio()

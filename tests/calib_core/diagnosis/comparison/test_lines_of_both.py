@@ -41,8 +41,8 @@ def test_a_short_rest_does_not_show_that_a_faint_line_is_absent(there: bool) -> 
     """The line of half an hour was called superfluous beside a minute that has the same one."""
     long, short = resting(1, 1500.0, {11.0: 2.5e-3}), resting(2, 70.0, {11.0: 2.5e-3 * there})
     (line,) = tones(long, "accel")
-    assert tones(short, "accel") == [] and not would_show(short, "accel", line)
-    assert would_show(resting(2, 1500.0, {}), "accel", line)
+    assert tones(short, "accel") == [] and would_show(short, "accel", [line]) == [False]
+    assert would_show(resting(2, 1500.0, {}), "accel", [line]) == [True]
 
 
 def test_a_line_that_is_absent_is_told_where_it_would_show_alone() -> None:
@@ -79,3 +79,48 @@ def test_a_line_that_comes_and_goes_in_one_of_two_is_told_once(gated: int) -> No
 def _off_every_other(on: Samples, off: Samples, seconds: float = 40.0) -> Samples:
     every: Array = (on.t // seconds) % 2.0
     return Samples(on.sensor, on.t, frozen(np.where(every[:, None] == 0.0, on.xyz, off.xyz)))
+
+
+FIVE = {7.13: 0.03, 10.871: 0.03, 13.957: 0.03, 17.713: 0.03, 21.631: 0.03}
+
+
+def test_a_line_is_missed_beside_however_many_others() -> None:
+    """Three lines are stated of any rests: beside those that they had, none that was put in was seen."""
+    four = {8.317: 0.03, 12.27: 0.03, 15.83: 0.03, 19.87: 0.03}
+    own, other = resting(1, 200.0, FIVE), resting(2, 200.0, four)
+    found = [relation for effect, relation in differing(compared(own, other)) if effect == "vibration_tone"]
+    assert sorted(found) == ["lacking"] * 3 + ["superfluous"] * 3
+
+
+def test_lines_of_both_that_one_does_not_state_are_compared() -> None:
+    """Of five lines, those were compared that were among the three surest of both, by chance."""
+    found = compared(resting(1, 200.0, FIVE), resting(3, 200.0, FIVE))
+    assert differing(found) == []
+    assert [m for m in found.not_compared if (m.effect, m.sensor) == ("vibration_tone", "accel")] == []
+    halved = compared(resting(1, 200.0, FIVE), resting(3, 200.0, dict.fromkeys(FIVE, 0.015)))
+    assert len(differing(halved)) >= 3 and set(differing(halved)) == {("vibration_tone", "too_small")}
+
+
+def test_a_line_is_put_in_where_no_other_is() -> None:
+    """A line of 12 Hz was taken for one of 11 Hz that was put in at 12 Hz."""
+    (line,) = tones(resting(1, 1500.0, {11.0: 2.5e-3}), "accel")
+    short = resting(2, 70.0, {12.0: 0.05})
+    assert would_show(short, "accel", [line], tones(short, "accel")) == [False]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "told"),
+    [((0.004, 0.0), "lacking"), ((0.0, 0.004), "superfluous"), ((0.004, 0.002), "too_small")],
+)
+def test_a_vibration_of_both_is_compared_in_the_gyroscope_too(sizes: tuple[float, float], told: str) -> None:
+    """It was told with the accelerometer's line, and then compared in that alone."""
+
+    def examined(seed: int, size: float) -> Examination:
+        force = resting(seed, 200.0, {12.3: 0.04})
+        rate = np.random.default_rng(seed + 5).normal(0.0, 0.002, force.xyz.shape)
+        rate[:, 2] += size * np.sin(2.0 * np.pi * 12.3 * force.t)
+        return examine(force, Samples(Sensor.GYROSCOPE, force.t, frozen(rate)), sought=())
+
+    found = compare(examined(1, sizes[0]), examined(2, sizes[1]), NAMES)
+    lines = [(d.sensor, d.relation) for d in found.discrepancies if d.effect == "vibration_tone"]
+    assert lines == [("gyro", told)]
