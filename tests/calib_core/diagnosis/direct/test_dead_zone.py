@@ -10,7 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.dead_zone import beside, dead_zone
+from stillcal.calib_core.diagnosis.direct.dead_zone import DRIVER, beside, dead_zone, hides_rest
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -113,3 +113,18 @@ def test_what_a_zone_hides_at_rest_is_not_compared(width: float) -> None:
     for effect in ("gyro_bias", "gyro_scale", "gyro_slow_noise", "noise_level", "held_samples"):
         assert untold[effect] == "real.csv: a dead zone hides what it reads at rest"
     assert ("noise_level", "accel") in {(a.recorded.effect, a.recorded.sensor) for a in compared.agreed}
+
+
+@pytest.mark.parametrize(
+    ("axes", "hidden"), [(("x",), True), (("x", "y"), True), (("y",), False), ((), False)]
+)
+def test_one_axis_that_reads_one_value_at_rest_hides_the_rest(axes: tuple[str, ...], hidden: bool) -> None:
+    """The zone's axes count, and of them one is enough."""
+    rest = np.random.default_rng(1).normal(0.0, 1.0, (500, 3))
+    rest[:25, 0] = 0.0
+    where, seen = Where(0.0, 1.0, (0.0, 0.0), DRIVER), DirectEvidence(99.0)
+    zone = direct_finding("unknown", "gyro", [0], where, {}, statement="", seen=seen)
+    assert zone is not None
+    found = replace(zone, axes=list(axes))
+    assert hides_rest([found] if axes else [], "gyro", [rest]) is hidden
+    assert not hides_rest([found], "accel", [rest]) and not hides_rest([found], "gyro", [])
