@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.diagnosis.diagnose import diagnose, examine
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
@@ -15,7 +16,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.sequence.places import Noise, batch, by_count
-from stillcal.calib_core.diagnosis.sequence.recurrence import stale_axes
+from stillcal.calib_core.diagnosis.sequence.recurrence import delivered_again, stale_axes
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.formats.hhar_still import recordings
 
@@ -153,6 +154,23 @@ def test_coarse_steps_in_motion_alone_come_again_by_chance() -> None:
     moved = np.abs(codes).max(axis=1) > 300
     codes[moved] = 2000.0 * np.rint(np.random.default_rng(1).normal(0.0, 1.0, (int(moved.sum()), 3)))
     assert "values delivered before" not in {f.where.driver for f in said(codes)}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_values_that_a_low_pass_leaves_come_again_by_chance_in_rows(seed: int) -> None:
+    """Of noise that passes 5 Hz of 100, three values in a row come again a thousand times as often."""
+    noise = np.random.default_rng(seed).normal(0.0, 12.0, (40_000, 3))
+    codes = np.rint(lfilter(*butter(2, 0.1), noise, axis=0))
+    still = np.ones(len(codes), dtype=np.bool_)
+
+    def told(rows: np.ndarray) -> Finding | None:
+        samples = Samples.checked(Sensor.GYROSCOPE, np.arange(len(rows)) / 100.0, rows * STEP)
+        return delivered_again(samples, "gyro", still)
+
+    assert told(codes) is None
+    codes[20_000:20_080] = codes[10_000:10_080]
+    found = told(codes)
+    assert found is not None and found.parameters["stretches"].value == 1.0
 
 
 def test_places_and_longest_are_told() -> None:
