@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.statement import Stated
+from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.condense import LongRecording
@@ -196,9 +197,14 @@ def with_own_values(measured: Examination, simulated: Examination, changed: Coll
 
     return replace(
         measured,
-        streams=[own.get(s.sensor, s) for s in measured.streams],
+        streams=[_with_lines_of(own.get(s.sensor, s), s) for s in measured.streams],
         statements=[
             *(s for s in simulated.statements if not anew(s)),
             *(s for s in measured.statements if anew(s)),
         ],
     )
+
+
+def _with_lines_of(stream: Stream, measured: Stream) -> Stream:
+    """Return a sensor's stream with the vibrations of another one, those that were put in among them."""
+    return replace(stream, lines=measured.lines, calm=measured.calm)

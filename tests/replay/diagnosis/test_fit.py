@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.answer import Fit, answer_of
 from stillcal.replay.diagnosis.built_in import judge_built_in
+from stillcal.replay.diagnosis.given_simulation import judge_simulation
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 
@@ -94,3 +95,21 @@ def test_a_phone_that_is_played_is_stamped_when_it_samples_whatever_stamps_the_r
     said = judge_built_in(Recording(accelerometer, None, [], Claims(), [], name="log.csv")).answer
     assert [f["effect"] for f in said["findings"]] == ["arrival_bursts"]
     assert said["fit"]["still_different"] == [] and said["fit"]["p_after"] > 0.01
+
+
+def test_a_vibration_put_into_the_gyroscope_alone_is_there_afterwards() -> None:
+    """The accelerometers of both have it too, and state it; the gyroscope's was lost from what was put in."""
+
+    def shaken(seed: int, gyro: float) -> Recording:
+        rng, t = np.random.default_rng(seed), np.arange(0.0, 240.0, 0.02)
+        wave = np.sin(2.0 * np.pi * 11.0 * t)[:, None]
+        force = np.array([0.3, -0.5, 9.78]) + rng.normal(0.0, 0.02, (t.size, 3)) + 0.02 * wave
+        rate = rng.normal(0.0, 1.5e-3, (t.size, 3)) + gyro * wave
+        streams = ((Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate))
+        samples = [Samples(sensor, frozen(t), frozen(xyz)) for sensor, xyz in streams]
+        return Recording(*samples, [], Claims(), [], name=f"{seed}.csv")
+
+    judged = judge_simulation(shaken(1, 4e-3), shaken(2, 0.0))
+    assert [(f["effect"], f["sensor"]) for f in judged.answer["findings"]] == [("vibration_tone", "gyro")]
+    assert judged.answer["fit"]["p_before"] < 1e-9 and judged.answer["fit"]["p_after"] == 1.0
+    assert judged.answer["verdict"] == "identified"
