@@ -230,8 +230,10 @@ class _Lines:
             return None
         rate = 1.0 / max(self._period, sample_period(exam.accelerometer.t))
         for line in self._of(sensor):
-            if same_line(middle_hz(finding), middle_hz(line), rate):
-                return f"its vibration at {middle_hz(line):.4g} Hz may be the same one, folded back"
+            pair = middle_hz(finding), middle_hz(line)
+            if same_line(*pair, rate):
+                folded = ", folded back" if max(pair) > rate / 2.0 else ""
+                return f"its vibration at {pair[1]:.4g} Hz may be the same one{folded}"
         if sensor not in self._hidden:
             lines = [f for f in own if f.sensor == sensor and is_line(f)]
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
