@@ -170,11 +170,12 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
         band &= np.abs(f - line) >= LOBE * f[1]
     # Hann windows that overlap by half leave 0.95 independent averages a segment (Welch 1967).
     averages = 0.95 * np.maximum(2 * sizes // length - 1, 1)
-    low_pass = _low_pass(f, np.median(power, axis=0), band, (still.rate, floor), float(averages.sum()))
-    if low_pass is not None:
-        own = quietest(power[:, band], averages)
-        typical = np.median(power[own], axis=0)
-        low_pass = _low_pass(f, typical, band, (still.rate, floor), float(averages[own].sum()))
+    noise = (still.rate, floor)
+    low_pass = _low_pass(f, np.median(power, axis=0), band, noise, float(averages.sum()))
+    own = quietest(power[:, band], averages)
+    # Of a few quiet rests each may tremble: there all of them together must show it as well.
+    if low_pass is not None or own.sum() >= 2 * LEAST_PIECES:
+        low_pass = _low_pass(f, np.median(power[own], axis=0), band, noise, float(averages[own].sum()))
     return Spectra(times, f, power, averages, band, still.rate, low_pass)
 
 

@@ -130,3 +130,15 @@ def test_a_hand_that_trembles_in_some_rests_is_no_low_pass(
     else:
         assert found.low_pass is not None
         assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
+
+
+@pytest.mark.parametrize(("order", "cutoff"), [(1, 5.0), (2, 5.0), (2, 20.0)])
+def test_a_low_pass_shows_in_quiet_rests_though_a_hand_trembles_in_most(order: int, cutoff: float) -> None:
+    """No filter fits the median of all rests; it was not asked of the quiet ones then."""
+    noise = np.random.default_rng(6).normal(size=(20, 1000, 3))
+    pieces = lfilter(*butter(order, 2.0 * cutoff / RATE), noise, axis=1)
+    shaking = np.random.default_rng(5).normal(size=(12, 1000, 3))
+    pieces[:12] += 4.0 * lfilter(*butter(1, 2.0 * 3.0 / RATE), shaking, axis=1)
+    found = judged(quiet(pieces))
+    assert found is not None and found.low_pass is not None
+    assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
