@@ -189,7 +189,7 @@ def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
     level = power.mean(axis=(1, 2))
     # A spectrum that falls has its power in few frequencies.
     typical = power.mean(axis=(0, 2))
-    many = 3.0 * float(typical.sum() ** 2 / np.maximum((typical**2).sum(), 1e-300))
+    many = 3.0 * max(float(typical.sum() ** 2 / np.maximum((typical**2).sum(), 1e-300)), 1.0)
     chance = float(np.sqrt(SHARED / (np.median(averages) * many)))
     near = UNSTEADY * chance + 0.02
     level = np.where((power > 0.0).all(axis=(1, 2)), level, np.inf)
