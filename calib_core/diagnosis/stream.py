@@ -243,10 +243,15 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
     kept: list[Finding] = []
     for one in found:
         felt = is_line(one) and one.sensor == "accel"
-        also = [f for f in heard if felt and abs(middle_hz(f) - middle_hz(one)) < SAME_HZ]
+        also = [f for f in heard if felt and of_one_vibration(f, one)]
         echoes += also
         kept.append(replace(one, remark=" ".join([one.remark, *map(_echo, also)])) if also else one)
     return [f for f in kept if not any(f is echo for echo in echoes)]
+
+
+def of_one_vibration(one: Finding, other: Finding) -> bool:
+    """Whether lines of both sensors are at one frequency."""
+    return abs(middle_hz(one) - middle_hz(other)) < SAME_HZ
 
 
 def _echo(line: Finding) -> str:

@@ -38,9 +38,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_put_in import every_line, same_line, would_show
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
-from stillcal.calib_core.diagnosis.stream import SAME_HZ
-
-NOT_AS_LARGE = "its rests would not show one of this size"
+from stillcal.calib_core.diagnosis.stream import of_one_vibration
 
 Reasons = Mapping[Key, str | None]
 """Why an effect was not looked for; None where it was."""
@@ -186,7 +184,7 @@ def _with_echoes(
         known = [f.where for f in own if f.sensor == "gyro"]
         lines = [line for s in exam.streams if s.sensor == "gyro" for line in s.lines]
         heard = [line for line in lines if line.where not in known]
-        return [line for line in heard if any(abs(middle_hz(line) - middle_hz(f)) < SAME_HZ for f in felt)]
+        return [line for line in heard if any(of_one_vibration(line, f) for f in felt)]
 
     one, other = sides
     return [*one, *told_with(exams[0], one, other)], [*other, *told_with(exams[1], other, one)]
@@ -239,7 +237,7 @@ class _Lines:
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
             shown = would_show(self._streams[sensor].calm, sensor, absent, self._of(sensor))
             self._hidden[sensor] = [f for f, seen in zip(absent, shown, strict=True) if not seen]
-        return NOT_AS_LARGE if any(finding is f for f in self._hidden[sensor]) else None
+        return _not_as_large("rests") if any(finding is f for f in self._hidden[sensor]) else None
 
 
 def _same_rate(finding: Finding, own: Examination, other: Examination) -> Finding | None:
@@ -263,9 +261,12 @@ def _too_small(finding: Finding, own: Examination, other: Examination) -> str | 
         return None
     if (why := obstacle(other, finding.effect, finding.sensor)) is not None:
         return why
-    if shows_as_large(other, stated):
-        return None
-    return "its turns would not show one of this size" if stated.residuals.turns else NOT_AS_LARGE
+    where = "turns" if stated.residuals.turns else "rests"
+    return None if shows_as_large(other, stated) else _not_as_large(where)
+
+
+def _not_as_large(where: str) -> str:
+    return f"its {where} would not show one of this size"
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

@@ -24,15 +24,12 @@ def borne_out(
     It does where one of them is more probable of a faulty phone than of a sound one; the bar for stating
     it is for the whole. Of a few rests one that trembles decides. claim: the declared noise density.
     """
-    measured = False
-    for half in halves:
-        names = [name.format(sensor=finding.sensor) for name in QUANTITIES.get(finding.effect, ())]
-        nats = [
-            of_measured(half[name], usual(sound, name, claim)).log_bayes_factor
-            for name in names
-            if name in half
-        ]
-        if nats and max(nats) <= 0.0:
-            return False
-        measured = measured or bool(nats)
-    return measured or finding.effect not in QUANTITIES
+    if finding.effect not in QUANTITIES:
+        return True
+    names = [name.format(sensor=finding.sensor) for name in QUANTITIES[finding.effect]]
+    of_halves = [
+        [of_measured(half[n], usual(sound, n, claim)).log_bayes_factor for n in names if n in half]
+        for half in halves
+    ]
+    judged = [max(nats) for nats in of_halves if nats]
+    return bool(judged) and min(judged) > 0.0

@@ -170,12 +170,17 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
         band &= np.abs(f - line) >= LOBE * f[1]
     # Hann windows that overlap by half leave 0.95 independent averages a segment (Welch 1967).
     averages = 0.95 * np.maximum(2 * sizes // length - 1, 1)
-    noise = (still.rate, floor)
-    low_pass = _low_pass(f, np.median(power, axis=0), band, noise, float(averages.sum()))
+
+    def fitted(pieces: NDArray[np.bool_]) -> LowPass | None:
+        typical = np.median(power[pieces], axis=0)
+        return _low_pass(f, typical, band, (still.rate, floor), float(averages[pieces].sum()))
+
     own = quietest(power[:, band], averages)
-    # Of a few quiet rests each may tremble: there all of them together must show it as well.
-    if low_pass is not None or own.sum() >= 2 * LEAST_PIECES:
-        low_pass = _low_pass(f, np.median(power[own], axis=0), band, noise, float(averages[own].sum()))
+    low_pass = fitted(own)
+    # Of a few quiet rests each may tremble: there all rests together must show it as well.
+    few = own.sum() < 2 * LEAST_PIECES and not own.all()
+    if few and low_pass is not None and fitted(np.ones_like(own)) is None:
+        low_pass = None
     return Spectra(times, f, power, averages, band, still.rate, low_pass)
 
 

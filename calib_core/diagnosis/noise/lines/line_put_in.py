@@ -16,11 +16,10 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
+    APART_HZ,
     LEAST_LINE_HZ,
     MOST_LINES,
     MOST_TRIED,
-    NEAR,
-    SHORT,
     tones,
 )
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
@@ -32,11 +31,8 @@ PART = 0.7
 ASIDE_HZ = (1.0, 2.0, 3.0, 0.0)
 """It is put in so far aside, first of these where no other line is: on top of one it would add to that."""
 
-SAME_HZ = NEAR / SHORT
-"""Difference of two lines' frequencies that is none, beside `CLOCKS`."""
-
 CLOCKS = 1e-3
-"""Part of a frequency by which two clocks may put one line apart."""
+"""Part of a frequency by which two clocks may put one line apart, beside `APART_HZ`."""
 
 
 def every_line(samples: Samples, sensor: str, stated: Sequence[Finding]) -> list[Finding]:
@@ -75,11 +71,11 @@ def _aside(own: float, others: Sequence[float], rate: float) -> float:
     inward = 1.0 if own < rate / 4.0 else -1.0
     tried = [own + way * inward * away for away in ASIDE_HZ for way in (1.0, -1.0)]
     within = [f for f in tried if LEAST_LINE_HZ < f < 0.49 * rate]
-    free = (f for f in within if all(abs(f - other) > 2.0 * SAME_HZ for other in others))
+    free = (f for f in within if all(abs(f - other) > 2.0 * APART_HZ for other in others))
     return next(free, own + inward * ASIDE_HZ[0])
 
 
 def same_line(one: float, other: float, rate: float) -> bool:
     """Whether two frequencies, Hz, are one where samples are taken at a rate, Hz: higher ones fold back."""
     apart = abs(folded(one, rate) - folded(other, rate))
-    return apart < SAME_HZ + CLOCKS * max(one, other)
+    return apart < APART_HZ + CLOCKS * max(one, other)

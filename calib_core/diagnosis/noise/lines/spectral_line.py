@@ -47,6 +47,9 @@ MOST_TRIED = 12
 NEAR = OWN // 2 + 1
 """Frequencies about a line, told apart by the shortest stretch, in which nothing else is one."""
 
+APART_HZ = NEAR / SHORT
+"""Difference of two lines' frequencies below which they are one."""
+
 LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 69.0
 """Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far."""
@@ -108,7 +111,7 @@ def tones(
 
 def _same(one: Finding, other: Finding) -> bool:
     """Whether two lines are one."""
-    return abs(middle_hz(one) - middle_hz(other)) < NEAR / SHORT
+    return abs(middle_hz(one) - middle_hz(other)) < APART_HZ
 
 
 def _gain(found: Finding) -> float:
@@ -140,7 +143,7 @@ def _coherent(
         tried.append(middle_hz(one))
         same = [f for f in found if _same(one, f)]
         better = not same or (left.in_step(one) and all(_gain(one) > _gain(f) for f in same))
-        left = CoherentSpectrum.of(places, left.seen.without(middle_hz(one), NEAR / SHORT))
+        left = CoherentSpectrum.of(places, left.seen.without(middle_hz(one), APART_HZ))
         whole = np.arange(len(seen.length), dtype=np.int64)
         body = _pace(seen, whole, round(middle_hz(one) / float(seen.f[1]))) is not None
         if better and not body:
@@ -180,9 +183,8 @@ def _of_any_length(places: Places | None, sensor: str, short: Stretches | None, 
     if len(plain) == most:
         return plain
     faint, _ = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain, most)
-    apart = NEAR / SHORT
     lines = [*plain, *faint]
-    lines += [f for f in found if all(abs(middle_hz(f) - middle_hz(other)) > apart for other in lines)]
+    lines += [f for f in found if all(abs(middle_hz(f) - middle_hz(other)) > APART_HZ for other in lines)]
     if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
         return _lines(sensor, stretches(places, sensor, BRIEF), (), most)[0]
     if short is not None and more and len(lines) < most:
@@ -211,7 +213,7 @@ def _lines(
     apart = NEAR * float(seen.wider.max() * seen.f[1])
     left = seen
     for one in known:
-        left = left.without(middle_hz(one), max(apart, NEAR / SHORT))
+        left = left.without(middle_hz(one), max(apart, APART_HZ))
     passed = (seen.f <= LEAST_LINE_HZ) | (seen.f >= 0.49 * 2.0 * float(seen.f[-1]))
     found: list[Finding] = []
     ratio = left.ratio()

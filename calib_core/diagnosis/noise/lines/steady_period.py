@@ -14,9 +14,9 @@ from stillcal.calib_core.diagnosis.model.records import NAME, Finding
 from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
+    APART_HZ,
     LEAST_LINE_HZ,
     MOST_LINES,
-    NEAR,
     SHORT,
     AtRest,
 )
@@ -49,7 +49,7 @@ def steady_period(samples: Samples, sensor: str, rests: AtRest | None = None) ->
         if one is None or not left.in_step(one):
             break
         found.append(one)
-        left = CoherentSpectrum.of(rests.places, left.seen.without(middle_hz(one), NEAR / SHORT))
+        left = CoherentSpectrum.of(rests.places, left.seen.without(middle_hz(one), APART_HZ))
     return _unknown(found) if found else None
 
 
