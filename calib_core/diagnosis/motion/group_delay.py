@@ -41,9 +41,13 @@ class FilterDelay:
         """Return it; None where no low-pass is seen, or both sensors have the same one.
 
         spectra: of the sensors whose noise tells whether it is filtered. Where that of one does not, it may
-        have the same low-pass as the other, as most chips have, or none.
+        have the same low-pass as the other, as most chips have, or none. Of two alike, one may seem wider
+        than what is a finding, and the other not.
         """
-        seen = {s: one.low_pass for s, one in spectra.items() if one.low_pass is not None}
+        if all(one.low_pass is None for one in spectra.values()):
+            return None
+        every = {s: one.low_pass or one.wide for s, one in spectra.items()}
+        seen = {s: one for s, one in every.items() if one is not None}
         late = {s: _late(one) for s, one in seen.items()}
         units = {s: _unit(one) for s, one in seen.items()}
         expected = late.get("gyro", 0.0) - late.get("accel", 0.0)

@@ -120,6 +120,7 @@ class Spectra:
     """f: (F,) Hz; power: (pieces, F, 3) unit^2/Hz; averages: (pieces,) independent ones; band: (F,) judged.
 
     t: (pieces + 1,) s, when each began and the last ended. low_pass: what shapes it, None where it is flat.
+    wide: one that is no finding, for parts come with such (`BANDWIDTH_LIMIT`); it delays motion all the same.
     """
 
     t: Array
@@ -129,6 +130,7 @@ class Spectra:
     band: NDArray[np.bool_]
     rate: float
     low_pass: LowPass | None
+    wide: LowPass | None = None
 
     def shape(self) -> Array:
         """Return the power (F,) that white noise would have, 1 at low frequency."""
@@ -181,7 +183,10 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
     few = own.sum() < 2 * LEAST_PIECES and not own.all()
     if few and low_pass is not None and fitted(np.ones_like(own)) is None:
         low_pass = None
-    return Spectra(times, f, power, averages, band, still.rate, low_pass)
+    wide = None
+    if low_pass is not None and low_pass.cutoff.value > thresholds.BANDWIDTH_LIMIT * still.rate:
+        low_pass, wide = None, low_pass
+    return Spectra(times, f, power, averages, band, still.rate, low_pass, wide)
 
 
 def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
@@ -258,7 +263,7 @@ def _low_pass(
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
     # A median of spectra on three axes scatters by pi/2 over their number.
     clean = least < CLEAN + 2.0 * np.pi / 2.0 / (3.0 * averages)
-    inside = f[band][0] < cutoffs[k] <= thresholds.BANDWIDTH_LIMIT * rate
+    inside = f[band][0] < cutoffs[k] < cutoffs[-1]
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
     as_good = [fit[4] for fit in fits if seen.size * (fit[0] - least) / least < 4.0 * SHARED]

@@ -84,6 +84,19 @@ def test_a_low_pass_may_be_the_other_sensors_too_where_its_noise_does_not_tell()
         assert abs(beyond.value) <= 1.1 * beyond.error
 
 
+def test_a_low_pass_too_wide_for_a_finding_delays_its_sensor_as_well() -> None:
+    """Of two sensors with the same low-pass near that limit, noise may put one on either side of it."""
+    white = np.random.default_rng(3).normal(size=(2, 20, 1000, 3))
+    made = [lfilter(*butter(2, 2.0 * cut), x, axis=1) for cut, x in zip((0.375, 0.4), white, strict=True)]
+    seen = [judged(Quiet(tuple(x), tuple(10.0 * i for i in range(len(x))), 100.0)) for x in made]
+    accel, gyro = seen
+    assert accel is not None and accel.low_pass is not None
+    assert gyro is not None and gyro.low_pass is None
+    filters = FilterDelay.of({"accel": accel, "gyro": gyro})
+    assert filters is not None and abs(filters.delay.value) < 1e-3
+    assert FilterDelay.of({"gyro": gyro}) is None
+
+
 def test_motion_without_a_delay_refutes_a_low_pass_that_vibration_imitates() -> None:
     """What shakes a phone at rest has a spectrum of its own; stamps that undo its low-pass were stated."""
     accelerometer, gyroscope = played(11)
