@@ -171,7 +171,8 @@ def tails(still: Quiet, sensor: str, usual: Usual, where: Where, step: float) ->
     }
     seen = DirectEvidence(gain, _left_out([z[:, axes] for z in scaled]), best.unusual)
     if fit.ratio.value > SPIKE and share < RARE * fit.ratio.value / SPIKE:
-        return _spikes(sensor, axes, everything, where, seen)
+        # A few spikes tell their moments badly, the more so the larger they are; their count is sure.
+        return _spikes(sensor, axes, everything, where, seen) or _lone(sensor, scaled, where)
     if (odd := unlike_noise(everything[:, axes], step / float(spread[axes].min()))) != "":
         say = f"{share:.1%} of the {NAME[sensor]}'s samples at rest are outliers, {odd}: they are no noise."
         return direct_finding("unknown", sensor, axes, where, parameters, statement=say, seen=seen)

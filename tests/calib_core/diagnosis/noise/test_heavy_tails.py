@@ -48,6 +48,18 @@ def test_few_far_samples_are_spikes_and_no_heavy_tails() -> None:
     assert found is not None and found.effect == "unknown" and found.axes == ["z"]
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_spikes_whose_moments_are_unsure_are_found_by_their_count(seed: int) -> None:
+    """Some values have lost their sign: in 20 rests of 10 s there are 24, of some thousand spreads."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(20000, 3))
+    values[rng.choice(20000, 24, replace=False), 1] += 1500.0 * rng.uniform(-1.0, 1.0, 24)
+    pieces = tuple(values.reshape(20, 1000, 3))
+    still = Quiet(pieces, tuple(np.arange(20) * 10.0), 100.0)
+    found = tails(still, "accel", sound_phones()["excess_kurtosis"], WHERE, 0.0)
+    assert found is not None and found.effect == "unknown" and found.axes == ["y"]
+
+
 def with_outliers(count: int, seed: int, axes: int = 1, samples: int = 1) -> np.ndarray:
     """Return normal noise with some jumps of 35 spreads, on so many axes for so many samples."""
     rng = np.random.default_rng(seed)
