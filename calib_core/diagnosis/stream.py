@@ -24,8 +24,8 @@ from stillcal.calib_core.diagnosis.noise.gathered_noise import (
     without_parts,
 )
 from stillcal.calib_core.diagnosis.noise.heavy_tails import tails
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER as CHANGING
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES as CHANGING
+from stillcal.calib_core.diagnosis.noise.lines.line import is_line, middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, Quiet, Spectra, bandwidth, quiet
@@ -251,7 +251,7 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
 
 def of_one_vibration(one: Finding, other: Finding) -> bool:
     """Whether lines of both sensors are at one frequency."""
-    return abs(middle_hz(one) - middle_hz(other)) < SAME_HZ
+    return abs(middle_hz(one) - middle_hz(other)) < SAME_HZ + min(reach_hz(one), reach_hz(other))
 
 
 def _echo(line: Finding) -> str:

@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE as ALIKE_DELA
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line
+from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS

@@ -22,6 +22,13 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     step_of_other,
     why_not_shown,
 )
+from stillcal.calib_core.diagnosis.comparison.lines_of_both import (
+    LinesOf,
+    beside_steady,
+    not_as_large,
+    unlike,
+    with_echoes,
+)
 from stillcal.calib_core.diagnosis.comparison.noise import white_noise
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
@@ -35,10 +42,6 @@ from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key
 from stillcal.calib_core.diagnosis.comparison.without_name import by_its_driver, is_course, may_be_had
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line, middle_hz
-from stillcal.calib_core.diagnosis.noise.lines.line_put_in import every_line, same_line, would_show
-from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
-from stillcal.calib_core.diagnosis.stream import of_one_vibration
 
 Reasons = Mapping[Key, str | None]
 """Why an effect was not looked for; None where it was."""
@@ -109,8 +112,8 @@ def differences_of_samples(
     Returned are differences of what both have; what one alone has, and whether it is the recording; what the
     other could not show, or was found by its driver.
     """
-    sides = _with_echoes((direct_statements(exams[0]), direct_statements(exams[1])), exams)
-    lines = (_Lines(exams[0]), _Lines(exams[1]))
+    sides = with_echoes((direct_statements(exams[0]), direct_statements(exams[1])), exams)
+    lines = (LinesOf(exams[0]), LinesOf(exams[1]))
     both: list[Difference] = []
     sole: list[Sole] = []
     unseen: list[NotCompared] = []
@@ -121,9 +124,9 @@ def differences_of_samples(
         for finding in own:
             stated = partner(finding, own, others)
             pair = stated or lines[other].unstated(finding, own, others)
-            if pair is not None and _come_and_go_apart(finding, pair):
+            if pair is not None and unlike(finding, pair):
                 if finding.effect == "unknown" or stated is None:
-                    sole.append(_beside_steady(finding, pair, names, of_recording))
+                    sole.append(beside_steady(finding, pair, names, of_recording))
                 continue
             if pair is not None and not is_course(finding):
                 why = by_its_driver(finding, exams[1 - other])
@@ -151,95 +154,6 @@ def differences_of_samples(
     return both, sole, unseen
 
 
-def _come_and_go_apart(one: Finding, other: Finding) -> bool:
-    """Whether a vibration comes and goes in one of two recordings, and is there for more of the other."""
-    if one.effect == other.effect:
-        return False
-    shares = [np.ravel(f.parameters["fraction"].ci95) for f in (one, other)]
-    (low, high), (least, most) = shares
-    return bool(high < least or most < low)
-
-
-def _beside_steady(one: Finding, other: Finding, names: Sequence[str], of_recording: bool) -> Sole:
-    """Say of the one of two vibrations that comes and goes that the other recording has it all along.
-
-    of_recording: whether the first is the recording's. Returned is also whose the unsteady one is.
-    """
-    if one.effect != "unknown":
-        one, other, of_recording = other, one, not of_recording
-    also = f"In {names[int(of_recording)]} the vibration at {middle_hz(other):.4g} Hz is steady."
-    return replace(one, remark=" ".join(filter(None, (one.remark, also)))), of_recording
-
-
-def _with_echoes(
-    sides: tuple[list[Finding], list[Finding]], exams: tuple[Examination, Examination]
-) -> tuple[list[Finding], list[Finding]]:
-    """Return what both state, also the gyroscope's lines that are told with the accelerometer's of both.
-
-    A vibration that both recordings have may shake the gyroscope in one of them alone.
-    """
-
-    def told_with(exam: Examination, own: list[Finding], others: list[Finding]) -> list[Finding]:
-        felt = [f for f in own if f.sensor == "accel" and is_line(f) and partner(f, own, others)]
-        known = [f.where for f in own if f.sensor == "gyro"]
-        lines = [line for s in exam.streams if s.sensor == "gyro" for line in s.lines]
-        heard = [line for line in lines if line.where not in known]
-        return [line for line in heard if any(of_one_vibration(line, f) for f in felt)]
-
-    one, other = sides
-    return [*one, *told_with(exams[0], one, other)], [*other, *told_with(exams[1], other, one)]
-
-
-class _Lines:
-    """The lines that a recording has, stated or not; those that are not stated are looked for when needed."""
-
-    def __init__(self, exam: Examination) -> None:
-        self._streams = {s.sensor: s for s in exam.streams}
-        self._period = sample_period(exam.accelerometer.t)
-        self._every: dict[str, list[Finding]] = {}
-        self._hidden: dict[str, list[Finding]] = {}
-
-    def _of(self, sensor: str) -> list[Finding]:
-        if sensor not in self._every:
-            stream = self._streams.get(sensor)
-            self._every[sensor] = [] if stream is None else every_line(stream.calm, sensor, stream.lines)
-        return self._every[sensor]
-
-    def unstated(self, finding: Finding, own: Sequence[Finding], others: Sequence[Finding]) -> Finding | None:
-        """Return a line like one of another recording that is not among those stated; None without one.
-
-        The other sensor's line may stand for it, or others be surer. own: what that recording states;
-        others: what this one does.
-        """
-        if not is_line(finding):
-            return None
-        stated = [o.where for o in others if o.sensor == finding.sensor]
-        return partner(finding, own, [f for f in self._of(finding.sensor) if f.where not in stated])
-
-    def why_none(
-        self, finding: Finding, own: Sequence[Finding], others: Sequence[Finding], exam: Examination
-    ) -> str | None:
-        """Say why this may have a line of another recording all the same; None where it has not.
-
-        exam: of that recording; the others are those of `unstated`.
-        """
-        sensor = finding.sensor
-        if not is_line(finding) or sensor not in self._streams:
-            return None
-        rate = 1.0 / max(self._period, sample_period(exam.accelerometer.t))
-        for line in self._of(sensor):
-            pair = middle_hz(finding), middle_hz(line)
-            if same_line(*pair, rate):
-                folded = ", folded back" if max(pair) > rate / 2.0 else ""
-                return f"its vibration at {pair[1]:.4g} Hz may be the same one{folded}"
-        if sensor not in self._hidden:
-            lines = [f for f in own if f.sensor == sensor and is_line(f)]
-            absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
-            shown = would_show(self._streams[sensor].calm, sensor, absent, self._of(sensor))
-            self._hidden[sensor] = [f for f, seen in zip(absent, shown, strict=True) if not seen]
-        return _not_as_large("rests") if any(finding is f for f in self._hidden[sensor]) else None
-
-
 def _same_rate(finding: Finding, own: Examination, other: Examination) -> Finding | None:
     """Return an error of the clock's rate that is the nominal rate's, where the other has the same rate.
 
@@ -262,11 +176,7 @@ def _too_small(finding: Finding, own: Examination, other: Examination) -> str | 
     if (why := obstacle(other, finding.effect, finding.sensor)) is not None:
         return why
     where = "turns" if stated.residuals.turns else "rests"
-    return None if shows_as_large(other, stated) else _not_as_large(where)
-
-
-def _not_as_large(where: str) -> str:
-    return f"its {where} would not show one of this size"
+    return None if shows_as_large(other, stated) else not_as_large(where)
 
 
 def _paired(one: Finding, other: Finding) -> list[Difference]:

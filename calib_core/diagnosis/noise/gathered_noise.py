@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import is_line
+from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 from stillcal.calib_core.diagnosis.noise.low_pass import Spectra
 from stillcal.calib_core.diagnosis.noise.noise_level import level_part
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.motion.axis_delays import DRIVER as AXES_LATE
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER as INTERMITTENT
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES as INTERMITTENT
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.sequence import codes as own_code

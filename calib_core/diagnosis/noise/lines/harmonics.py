@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
 
 MOST = 6
 """The highest harmonic that is looked for."""

@@ -27,11 +27,10 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Where
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, amplitude_of, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.rms import rms
-
-DRIVER = "a vibration that comes and goes"
 
 SPLITS = (1, 2, 4, 8)
 """Pieces of the middle half of a stretch: of 20 s, pieces of 10 to 1.25 s."""
@@ -89,16 +88,6 @@ class Pieces:
         above = np.sqrt((line / self.noise).sum(axis=1))
         middle = float(np.median(above))
         return above / middle if middle > 0.0 else np.ones(above.size)
-
-
-def is_line(found: Finding) -> bool:
-    """Whether a finding is of a line in the spectrum, steady or not."""
-    return found.effect == "vibration_tone" or found.where.driver == DRIVER
-
-
-def middle_hz(line: Finding) -> float:
-    """Return the frequency of a line, Hz."""
-    return float(np.asarray(line.parameters["frequency"].value))
 
 
 def named_if_steady(line: Finding, seen: Stretches, others: Sequence[float]) -> Finding:
@@ -215,9 +204,7 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
     held_out = HeldOut(gain, rms(s - np.where(inside, line, 0.0)), rms(s - np.where(there, line, 0.0)))
     ends = (float(t[there].min()), float(t[there].max())) if there.any() else span
     power = pieces.power[known][there] if there.any() else pieces.power
-    amplitude = np.sqrt(np.maximum(power.mean(axis=0), 0.0))
-    spread = power.std(axis=0) / np.sqrt(len(power))
-    error = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread))
+    amplitude, error = amplitude_of(power.mean(axis=0), power.std(axis=0) / np.sqrt(len(power)))
     times = max(int(np.count_nonzero(np.diff(there.astype(np.int8)) == 1)) + int(there[0]), 1)
     hits = float(there.sum())
     share = share_of(hits, float(there.size), max(hits / times, 1.0))
@@ -328,5 +315,5 @@ def _unsteady(line: Finding, told: _Told) -> Finding:
         f" in {100.0 * told.share.value:.0f} % of the time at rest, with an amplitude of"
         f" {sizes} {UNIT[line.sensor]}."
     )
-    where = Where(*told.span, line.where.band_hz, DRIVER)
+    where = Where(*told.span, line.where.band_hz, COMES_AND_GOES)
     return replace(line, effect="unknown", where=where, parameters=parameters, statement=say)

@@ -23,10 +23,14 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     vector,
 )
 from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Parameter, Where
+from stillcal.calib_core.diagnosis.noise.lines.line import amplitude_of
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import INDEPENDENT, NEIGHBOURS, OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms
+
+LINE_P = 1e-5
+"""Chance of what stands out anywhere in single stretches; `stated` judges it."""
 
 FLANK, FLANK_SIGMAS = 0.15, 2.0
 FINE = 0.05
@@ -45,6 +49,9 @@ two of them correlate by 0.1."""
 STUDENT = 1.42
 """Of a standard error from five parts: 97.5 % quantile with four degrees of freedom, over 1.96."""
 
+AS_GIVEN = 1e-3
+"""Part of an amplitude by which it is not known, however loud it is."""
+
 REACH = 4.0
 """Standard errors of a line's frequency within which it is looked for by phase."""
 
@@ -59,6 +66,11 @@ SIGNIFICANT = 3.0
 def told(ratio: Array) -> Array:
     """Return nats of ratios to the mean of n independent neighbours: without a line they have F(2, 2n)."""
     return np.asarray(INDEPENDENT * np.log1p(ratio / INDEPENDENT))
+
+
+def never_by_chance(count: int) -> float:
+    """Return the ratio that no stretch has by chance, of so many."""
+    return float(np.log(count / LINE_P))
 
 
 def of_axes(nats: Array, alike: float = 1.0, axes_alike: float = 1.0) -> Array:
@@ -198,13 +210,13 @@ def stated(sensor: str, seen: Stretches, rows: Index, middle: int) -> Finding | 
     line = np.abs(_amplitudes(seen, rows, frequency)[:, 0]) ** 2
     noise = seen.to_amplitude[rows, None] ** 2 * _noise(seen, rows, middle)
     power, spread = _mean_power(line - noise, noise)
-    amplitude = np.sqrt(np.maximum(power, 0.0))
-    scatter = np.minimum(spread / np.maximum(2.0 * amplitude, 1e-12), np.sqrt(spread)) + 1e-3 * amplitude
+    amplitude, error_of_size = amplitude_of(power, spread)
+    scatter = error_of_size + AS_GIVEN * amplitude
     axes = [a for a in range(3) if power[a] > SIGNIFICANT * spread[a]] or [int(np.argmax(amplitude))]
     runs = 1.0 if rows.size == len(seen.length) else len(seen.length) ** 2 / 2.0
     overlapping = 1.0 + OVERLAPPING * 2.0 * (1.0 - float(seen.share[rows].mean()))
     alike = overlapping, axes_alike(_beside(seen, rows, middle))
-    evidence = _seen(line / np.maximum(noise, 1e-300), line, alike, float(seen.f.size) * runs)
+    evidence = evidence_of(line / np.maximum(noise, 1e-300), line, float(seen.f.size) * runs, alike)
     pitch, size, span = (frequency, error), (amplitude, scatter), _lasts(seen, rows)
     return vibration(sensor, seen, axes, pitch=pitch, size=size, span=span, evidence=evidence)
 
@@ -269,7 +281,9 @@ def _fraction(seen: Stretches, start: float, end: float) -> Parameter:
     return Parameter(part, [part - NORMAL_95 * error, min(part + NORMAL_95 * error, 1.0)], "1")
 
 
-def _seen(ratio: Array, line: Array, alike: tuple[float, float], places: float) -> DirectEvidence:
+def evidence_of(
+    ratio: Array, line: Array, places: float, alike: tuple[float, float] = (1.0, 1.0)
+) -> DirectEvidence:
     """Return what powers (S, 3) say of a line, on the clearest axis or on the three together (Fisher).
 
     ratio: to the noise, by chance of an F law; alike: stretches, and axes, that count as one; places: how

@@ -11,10 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
     APART_HZ,
     LEAST_LINE_HZ,
@@ -60,10 +60,19 @@ def would_show(
         size = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)
         share = float(np.asarray(line.parameters["fraction"].value))
         placed.append(_aside(folded(middle_hz(line), rate), [*there, *placed], rate))
-        wave = np.sin(2.0 * np.pi * placed[-1] * (samples.t - samples.t[0]))
+        wave = np.sin(_phase(samples.t - samples.t[0], placed[-1], reach_hz(line)))
         louder = louder + PART * np.sqrt(share) * np.outer(wave, size)
     found = tones(replace(samples, xyz=frozen(louder)), sensor, most=MOST_TRIED)
-    return [any(same_line(aside, middle_hz(one), rate) for one in found) for aside in placed]
+    return [
+        any(same_line(aside, middle_hz(one), rate, reach_hz(line)) for one in found)
+        for line, aside in zip(lines, placed, strict=True)
+    ]
+
+
+def _phase(t: Array, frequency: float, reach: float) -> Array:
+    """Return the phase (n,), rad, of a line from t = 0 s; one that wanders goes once there and back."""
+    once = 2.0 * np.pi / max(float(t[-1]), 1e-9)
+    return np.asarray(2.0 * np.pi * (frequency * t + reach / once * (1.0 - np.cos(once * t))))
 
 
 def _aside(own: float, others: Sequence[float], rate: float) -> float:
@@ -75,7 +84,10 @@ def _aside(own: float, others: Sequence[float], rate: float) -> float:
     return next(free, own + inward * ASIDE_HZ[0])
 
 
-def same_line(one: float, other: float, rate: float) -> bool:
-    """Whether two frequencies, Hz, are one where samples are taken at a rate, Hz: higher ones fold back."""
+def same_line(one: float, other: float, rate: float, wanders: float = 0.0) -> bool:
+    """Whether two frequencies, Hz, are one where samples are taken at a rate, Hz: higher ones fold back.
+
+    wanders: Hz, how far on either side one of them does.
+    """
     apart = abs(folded(one, rate) - folded(other, rate))
-    return apart < APART_HZ + CLOCKS * max(one, other)
+    return apart < APART_HZ + CLOCKS * max(one, other) + wanders

@@ -18,8 +18,15 @@ from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import with_harmonics
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER, middle_hz, named_if_steady
-from stillcal.calib_core.diagnosis.noise.lines.line_estimate import narrow, profile, stated, told
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import named_if_steady
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
+    narrow,
+    never_by_chance,
+    profile,
+    stated,
+    told,
+)
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import (
     NEIGHBOURS,
     OWN,
@@ -27,6 +34,7 @@ from stillcal.calib_core.diagnosis.noise.lines.steady_segments import (
     Stretches,
     stretches,
 )
+from stillcal.calib_core.diagnosis.noise.lines.wandering_line import wandering_line, without_its_parts
 from stillcal.calib_core.maths.chi_squared import exceeded
 from stillcal.calib_core.streams.samples import Samples
 
@@ -54,8 +62,8 @@ LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 69.0
 """Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far."""
 
-LINE_P, STACK_P = 1e-5, 1e-3
-"""Chances of what stands out, anywhere, in single stretches and in many together; `stated` judges it."""
+STACK_P = 1e-3
+"""Chance of what stands out, anywhere, in many stretches together; `stated` judges it."""
 
 LEAST_STRETCHES = 4.5
 """Stretches' lengths that a line must last: nine that overlap by half make five."""
@@ -101,12 +109,22 @@ def tones(
     """
     rests = rests or AtRest.of(samples, sensor)
     places = rests.places
-    found = _of_any_length(places, sensor, rests.short, most)
+    found, more = _of_any_length(places, sensor, rests.short, most)
     steady = [] if places is None else _coherent(places, sensor, rests.coherent, found, most)
     clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
-    surest = sorted(lines, key=lambda f: -_nats(f))[:most]
-    return surest if places is None else with_harmonics(surest, 1.0 / places.period)
+    if places is None:
+        return []
+    rate = 1.0 / places.period
+    if lines or more:
+        lines = _with_wandering(lines, stretches(places, sensor, MOMENT), sensor, rate)
+    return with_harmonics(sorted(lines, key=lambda f: -_nats(f))[:most], rate)
+
+
+def _with_wandering(lines: list[Finding], brief: Stretches | None, sensor: str, rate: float) -> list[Finding]:
+    """Return the lines with one that wanders, if there is one, in the place of those it was taken for."""
+    wandering = wandering_line(sensor, brief, LEAST_LINE_HZ, 1.0 / SHORT)
+    return lines if wandering is None else [wandering, *without_its_parts(lines, wandering, rate)]
 
 
 def _same(one: Finding, other: Finding) -> bool:
@@ -166,7 +184,7 @@ def _skirt(line: Finding, other: Finding, length: float) -> bool:
     A sine fitted to a stretch does not take it off. An end in the middle of a stretch of a `length`, s, under
     half a sine, leaves 1 / (4 length apart) of the amplitude at a frequency `apart`; a spell has two ends.
     """
-    if other.where.driver != DRIVER or _same(line, other):
+    if other.where.driver != COMES_AND_GOES or _same(line, other):
         return False
     spread = 1.0 / (2.0 * length * abs(middle_hz(line) - middle_hz(other)))
     return _size(line) <= spread * _size(other)
@@ -177,20 +195,23 @@ def _size(line: Finding) -> float:
     return float(np.linalg.norm(line.parameters["amplitude"].value))
 
 
-def _of_any_length(places: Places | None, sensor: str, short: Stretches | None, most: int) -> list[Finding]:
+def _of_any_length(
+    places: Places | None, sensor: str, short: Stretches | None, most: int
+) -> tuple[list[Finding], bool]:
+    """Return lines of long, short and brief stretches, and whether short ones show more."""
     found, more = _lines(sensor, short, (), most)
     plain = [f for f in found if _nats(f) > PLAIN]
     if len(plain) == most:
-        return plain
+        return plain, more
     faint, _ = _lines(sensor, stretches(places, sensor, LONG, SHORT), plain, most)
     lines = [*plain, *faint]
     lines += [f for f in found if all(abs(middle_hz(f) - middle_hz(other)) > APART_HZ for other in lines)]
     if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
-        return _lines(sensor, stretches(places, sensor, BRIEF), (), most)[0]
+        return _lines(sensor, stretches(places, sensor, BRIEF), (), most)
     if short is not None and more and len(lines) < most:
         brief, _ = _lines(sensor, stretches(places, sensor, MOMENT), lines, most)
         lines += [f for f in brief if _narrow(short, f)]
-    return lines
+    return lines, more
 
 
 def _narrow(seen: Stretches, line: Finding) -> bool:
@@ -223,7 +244,9 @@ def _lines(
         if k is None:
             break
         middle = int(open_ones[k])
-        lasting = _lasting(ratio[:, middle - 1 : middle + 2], left.share, _plain(ratio[:, open_ones].size))
+        lasting = _lasting(
+            ratio[:, middle - 1 : middle + 2], left.share, never_by_chance(ratio[:, open_ones].size)
+        )
         pace = _pace(seen, lasting, middle)
         line = _judged(sensor, left, lasting, middle) if pace is None else None
         if line is None:
@@ -236,7 +259,7 @@ def _lines(
         ratio = left.ratio()
     every = [*known, *found]
     above = left.free & (seen.f > LEAST_LINE_HZ)
-    return _named(found, seen, every), bool((ratio[:, above] > _plain(ratio.size)).any())
+    return _named(found, seen, every), bool((ratio[:, above] > never_by_chance(ratio.size)).any())
 
 
 def _judged(sensor: str, seen: Stretches, lasting: Index, middle: int) -> Finding | None:
@@ -260,7 +283,7 @@ def _line(ratio: Array, share: Array) -> int | None:
     """Return the frequency that stands out in `LEAST_STRETCHES` stretches, or in the mean of all."""
     best = ratio.max(axis=2)
     near = np.maximum(best, np.maximum(np.roll(best, 1, axis=1), np.roll(best, -1, axis=1)))
-    hits = share @ (near > _plain(ratio.size))
+    hits = share @ (near > never_by_chance(ratio.size))
     if hits.max() >= LEAST_STRETCHES:
         clear = hits > hits.max() - 1.5
         return int(np.argmax(np.where(clear, best.sum(axis=0), 0.0)))
@@ -288,11 +311,6 @@ def _stacked(ratio: Array) -> int | None:
             if top > 1.0 and (best is None or top > best[0]):
                 best = top, int(np.argmax(values.max(axis=0)))
     return None if best is None else best[1]
-
-
-def _plain(count: int) -> float:
-    """Return the ratio that no stretch has by chance, of so many."""
-    return float(np.log(count / LINE_P))
 
 
 def _lasting(ratio: Array, share: Array, plain: float) -> Index:

@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding
 from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
     APART_HZ,
     LEAST_LINE_HZ,

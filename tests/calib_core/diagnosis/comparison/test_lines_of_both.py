@@ -124,3 +124,36 @@ def test_a_vibration_of_both_is_compared_in_the_gyroscope_too(sizes: tuple[float
     found = compare(examined(1, sizes[0]), examined(2, sizes[1]), NAMES)
     lines = [(d.sensor, d.relation) for d in found.discrepancies if d.effect == "vibration_tone"]
     assert lines == [("gyro", told)]
+
+
+def wandering(seed: int, seconds: float, part: float, amplitude: float = 0.1) -> Samples:
+    """Return an accelerometer at rest beside a fan of 13 Hz whose speed goes at random by so much of it."""
+    samples = resting(seed, seconds, {})
+    course = np.cumsum(np.random.default_rng(seed + 1).standard_normal(samples.t.size))
+    course -= np.linspace(course[0], course[-1], course.size)
+    turned = np.cumsum(13.1 * (1.0 + part * course / np.abs(course).max())) / 50.0
+    xyz = np.array(samples.xyz)
+    xyz[:, 0] += amplitude * np.sin(2.0 * np.pi * turned)
+    return Samples(samples.sensor, samples.t, frozen(xyz))
+
+
+@pytest.mark.parametrize("part", [0.01, 0.03])
+def test_a_fan_that_wanders_in_both_is_no_difference(part: float) -> None:
+    """By 1 to 3 % in 900 and in 300 s its lines had different amplitudes, and different parts of the time."""
+    assert differing(compared(wandering(1, 900.0, part), wandering(2, 300.0, part))) == []
+
+
+def test_a_fan_that_wanders_is_told_beside_a_steady_one_and_beside_none() -> None:
+    real, steady = wandering(3, 300.0, 0.05), wandering(4, 200.0, 0.0)
+    (found,) = compared(real, steady).discrepancies
+    assert (found.effect, found.relation) == ("unknown", "lacking")
+    assert found.recorded is not None
+    assert "In sim.csv the vibration at 13.1 Hz is steady." in found.recorded.remark
+    (found,) = compared(steady, real).discrepancies
+    assert (found.effect, found.relation) == ("unknown", "superfluous")
+    assert differing(compared(real, resting(5, 200.0, {}))) == [("unknown", "lacking")]
+
+
+def test_too_short_a_rest_does_not_show_that_a_fan_does_not_wander() -> None:
+    found = compared(wandering(3, 300.0, 0.05), resting(5, 45.0, {}))
+    assert differing(found) == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from stillcal.calib_core.arrays import frozen
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 

@@ -15,7 +15,8 @@ from scipy.special import ive
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise.lines import spectral_line
-from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import DRIVER, middle_hz, scaled_bessel
+from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import scaled_bessel
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import faint_lines
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
@@ -103,7 +104,7 @@ def on_and_off(on: float, off: float) -> Array:
 def test_a_vibration_that_comes_and_goes_has_no_name(on: float, off: float, amplitude: float) -> None:
     """Stated are its frequency, the amplitude while it is there, and how much of the time that is."""
     found = tones(lying(humming({30.0: amplitude}) * on_and_off(on, off)), "accel")
-    assert [(f.effect, f.where.driver) for f in found] == [("unknown", DRIVER)]
+    assert [(f.effect, f.where.driver) for f in found] == [("unknown", COMES_AND_GOES)]
     (frequency, size, fraction) = (found[0].parameters[n] for n in ("frequency", "amplitude", "fraction"))
     assert frequency.value == pytest.approx(30.0, abs=0.01)
     assert size.value[2] == pytest.approx(amplitude, rel=0.1)  # type: ignore[index]
@@ -138,7 +139,7 @@ def test_the_ends_of_strong_spells_make_no_other_lines() -> None:
     xyz[:, 0] += np.where(in_turn >= 0.0, 5.0 * np.sin(np.pi * in_turn / 2.0), 0.0)
     xyz[:, 2] += 9.81 + 0.5 * np.sin(2.0 * np.pi * 8.4 * t) * (t % 1200.0 < 300.0)
     found = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
-    assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(DRIVER, 8.4)]
+    assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(COMES_AND_GOES, 8.4)]
 
 
 @pytest.mark.parametrize(("rest", "spell"), [(36.0, 6.0), (33.0, 10.0)])
@@ -152,7 +153,7 @@ def test_a_motor_in_short_spells_makes_no_other_lines(rest: float, spell: float)
     motor = 0.45 * np.sin(2.0 * np.pi * 62.0 * t) * (t % 40.0 < spell)
     xyz += motor[:, None] * [0.3, 0.0, 1.0]
     found = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
-    assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(DRIVER, 62.0)]
+    assert [(f.where.driver, round(middle_hz(f), 1)) for f in found] == [(COMES_AND_GOES, 62.0)]
 
 
 @pytest.mark.parametrize("scale", [0.0, 1e-12, 1e9])

@@ -1,0 +1,82 @@
+"""A vibration whose frequency wanders is told as one, with its amplitude; noise of a narrow band is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+RATE = 50.0
+T = np.arange(0.0, 300.0, 1.0 / RATE)
+
+
+def wandering(seed: int, middle: float, part: float) -> Array:
+    """Return the phase (n,) of a line whose frequency goes at random, `part` of it on either side at most."""
+    course = np.cumsum(np.random.default_rng(seed).standard_normal(T.size))
+    course -= np.linspace(course[0], course[-1], T.size)
+    return 2.0 * np.pi * np.cumsum(middle * (1.0 + part * course / np.abs(course).max())) / RATE
+
+
+def found(wave: Array, seed: int = 0) -> list[Finding]:
+    """Return the lines of an accelerometer at rest that is shaken so on x, and by half of it on z."""
+    xyz = np.random.default_rng(seed).normal([0.0, 0.0, 9.81], 0.02, (T.size, 3))
+    xyz += np.outer(wave, [1.0, 0.0, 0.5])
+    return tones(Samples(Sensor.ACCELEROMETER, frozen(T), frozen(xyz)), "accel")
+
+
+@pytest.mark.parametrize("part", [0.02, 0.05])
+@pytest.mark.parametrize("amplitude", [0.03, 0.1])
+def test_a_fan_without_a_governor_is_one_line_that_wanders(part: float, amplitude: float) -> None:
+    """By 5 % it was not seen at all, by 2 % it was a steady line of two thirds of the amplitude."""
+    (line,) = found(amplitude * np.sin(wandering(1, 13.1, part)))
+    assert (line.effect, line.where.driver) == ("unknown", WANDERS)
+    low, high = line.where.band_hz
+    assert 13.1 * (1.0 - part) - 0.1 < low < 13.1 - 0.04 and 13.1 + 0.04 < high < 13.1 * (1.0 + part) + 0.1
+    assert f"wanders from {low:.2f} to {high:.2f} Hz" in line.statement
+    size = line.parameters["amplitude"]
+    assert np.allclose(size.value, [amplitude, 0.0, amplitude / 2.0], atol=0.15 * amplitude)
+    assert line.parameters["fraction"].value == pytest.approx(1.0, abs=0.05)
+
+
+def test_its_harmonics_are_not_told_as_lines_of_their_own() -> None:
+    phase = wandering(2, 9.0, 0.01)
+    lines = found(0.1 * np.sin(phase) + 0.05 * np.sin(2.0 * phase))
+    assert [line.where.driver for line in lines] == [WANDERS]
+
+
+def test_another_line_beside_it_is_told() -> None:
+    lines = found(0.1 * np.sin(wandering(3, 9.0, 0.02)) + 0.02 * np.sin(2.0 * np.pi * 21.0 * T))
+    assert sorted((line.effect, round(middle_hz(line))) for line in lines) == [
+        ("unknown", 9),
+        ("vibration_tone", 21),
+    ]
+
+
+@pytest.mark.parametrize("width", [0.05, 0.2, 0.4, 1.0])
+def test_noise_of_a_narrow_band_does_not_wander(width: float) -> None:
+    """A hand that trembles goes from frequency to frequency at random, and its amplitude comes and goes."""
+    rng = np.random.default_rng(int(100 * width))
+    spectrum = np.fft.rfft(rng.standard_normal(T.size))
+    spectrum *= np.exp(-0.5 * ((np.fft.rfftfreq(T.size, 1.0 / RATE) - 9.3) / (width / 2.0)) ** 2)
+    wave = np.fft.irfft(spectrum, T.size)
+    assert all(line.where.driver != WANDERS for line in found(0.1 * wave / wave.std()))
+
+
+def test_two_speeds_are_two_lines() -> None:
+    first = T < 150.0
+    wave = np.sin(2.0 * np.pi * np.where(first, 12.0, 12.8) * T)
+    assert sorted(round(middle_hz(line), 1) for line in found(0.1 * wave)) == [12.0, 12.8]
+    assert all(line.where.driver != WANDERS for line in found(0.1 * wave))
+
+
+def test_a_steady_line_and_one_that_comes_and_goes_do_not_wander() -> None:
+    steady = np.sin(2.0 * np.pi * 13.1 * T)
+    (line,) = found(0.1 * steady)
+    assert line.effect == "vibration_tone"
+    (line,) = found(0.1 * steady * (T % 60.0 < 36.0))
+    assert line.where.driver == COMES_AND_GOES
