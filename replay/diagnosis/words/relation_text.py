@@ -263,16 +263,16 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
 
 
 def _nameless(finding: Mapping[str, Any], recording: str, simulation: str, observed: str) -> str:
-    """Return what is said of something without a name."""
+    """Return what is said of something without a name: what was observed of it, else what it follows."""
     what = noun(finding["effect"], finding["sensor"])
     side = side_of(finding)
     owner, other = (simulation, recording) if side == "simulated" else (recording, simulation)
     seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
-    driver = finding["where"]["driver"]
+    follows = "" if observed else f"; it follows {finding['where']['driver']}"
     if finding.get("of_either"):
-        differ = f"{recording} and {simulation} differ by {what}{seen}; it follows {driver}."
+        differ = f"{recording} and {simulation} differ by {what}{seen}{follows}."
         return " ".join(filter(None, (differ, observed, OF_EITHER)))
-    shows = f"{owner} shows {what}{seen}; it follows {driver}."
+    shows = f"{owner} shows {what}{seen}{follows}."
     beside = f"{other} does not show it."
     if finding["relation"] in ("too_small", "too_large") and finding["simulated"]:
         beside = f"{other} shows it too, {_sizes(finding, 'simulated')}."

@@ -240,7 +240,7 @@ def test_what_has_no_name_is_told_with_axes_time_and_size() -> None:
     said = statement(finding, ("real.csv", BUILT_IN))
     assert ", on y from 0 to 831 s, gain y -0.300 ± 0.030 %; it follows own force" in said
     observed = statement(finding, ("real.csv", BUILT_IN), "Its gain depends on the weather.")
-    assert "a stretch of time. Its gain depends on the weather. The built-in" in observed
+    assert ", gain y -0.300 ± 0.030 %. Its gain depends on the weather. The built-in" in observed
     # Gravity's norm sees one direction a rest: all three axes together are sure, and none of them by itself.
     loose = {"step": {"value": [0.006, 0.03, -0.028], "ci95": [[-0.01, 0.022], [-0.01, 0.07], [-0.07, 0.014]],
                       "unit": "m/s^2"}}  # fmt: skip
@@ -276,7 +276,7 @@ def test_what_was_observed_of_something_nameless_is_told_with_it(said: str, told
     own = Finding("unknown", "accel", ["x"], where, {}, Evidence(30.0), [], said)
     one = Discrepancy("unknown", "accel", ["x"], where, "lacking", 1.0, 30.0, recorded=own)
     text = _finding(one, ("real.csv", BUILT_IN), {}, None)["statement"]
-    assert (said in text) == told and text.count("follows samples") == 1
+    assert (said in text) == told and ("it follows samples" in text) != told
 
 
 def test_a_daemons_user_is_told_of_the_sensor_and_of_no_simulation() -> None:
