@@ -11,8 +11,14 @@ from stillcal.calib_core.diagnosis.comparison.direct import partner
 from stillcal.calib_core.diagnosis.comparison.stated import Sole
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.lines.line import WANDERS, is_line, middle_hz, reach_hz
-from stillcal.calib_core.diagnosis.noise.lines.line_put_in import every_line, same_line, would_show
+from stillcal.calib_core.diagnosis.noise.lines.line import (
+    COMES_AND_GOES,
+    WANDERS,
+    is_line,
+    middle_hz,
+    reach_hz,
+)
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import as_shown, every_line, same_line, would_show
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import SHORT
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stream import of_one_vibration
@@ -104,6 +110,14 @@ class LinesOf:
             return None
         stated = [o.where for o in others if o.sensor == finding.sensor]
         return partner(finding, own, [f for f in self._of(finding.sensor) if f.where not in stated])
+
+    def why_not_steady(self, line: Finding) -> str | None:
+        """Say why these rests may seem to have a steady line where it comes and goes as another one does."""
+        if line.where.driver != COMES_AND_GOES:
+            return None
+        (seen,) = as_shown(self._streams[line.sensor].calm, line.sensor, [line], self._of(line.sensor))
+        spells = seen is not None and seen.where.driver == COMES_AND_GOES
+        return None if spells else "its rests would not show that a vibration comes and goes"
 
     def why_none(
         self, finding: Finding, own: Sequence[Finding], others: Sequence[Finding], exam: Examination

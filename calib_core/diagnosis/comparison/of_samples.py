@@ -126,7 +126,11 @@ def differences_of_samples(
             pair = stated or lines[other].unstated(finding, own, others)
             if pair is not None and unlike(finding, pair):
                 if finding.effect == "unknown" or stated is None:
-                    sole.append(beside_steady(finding, pair, names, of_recording))
+                    told, untold = _of_one_alone(
+                        beside_steady(finding, pair, names, of_recording), lines, names
+                    )
+                    sole += told
+                    unseen += untold
                 continue
             if pair is not None and not is_course(finding):
                 why = by_its_driver(finding, exams[1 - other])
@@ -152,6 +156,17 @@ def differences_of_samples(
             else:
                 sole.append((finding, of_recording))
     return both, sole, unseen
+
+
+def _of_one_alone(
+    unsteady: Sole, lines: tuple[LinesOf, LinesOf], names: tuple[str, str]
+) -> tuple[list[Sole], list[NotCompared]]:
+    """Return a vibration that is steady in the other recording; or why that may only seem so."""
+    line, of_recording = unsteady
+    why = lines[int(of_recording)].why_not_steady(line)
+    if why is None:
+        return [unsteady], []
+    return [], [NotCompared("vibration_tone", line.sensor, f"{names[int(of_recording)]}: {why}")]
 
 
 def _same_rate(finding: Finding, own: Examination, other: Examination) -> Finding | None:

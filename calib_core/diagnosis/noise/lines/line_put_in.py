@@ -12,9 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
-from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz, reach_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
     APART_HZ,
     LEAST_LINE_HZ,
@@ -48,7 +49,14 @@ def every_line(samples: Samples, sensor: str, stated: Sequence[Finding]) -> list
 def would_show(
     samples: Samples, sensor: str, lines: Sequence[Finding], others: Sequence[Finding] = ()
 ) -> list[bool]:
-    """Return which lines, found in another recording, the rests of one sensor would show, all put in at once.
+    """Return which lines, found in another recording, the rests of one sensor would show."""
+    return [seen is not None for seen in as_shown(samples, sensor, lines, others)]
+
+
+def as_shown(
+    samples: Samples, sensor: str, lines: Sequence[Finding], others: Sequence[Finding] = ()
+) -> list[Finding | None]:
+    """Return how the rests of one sensor show lines of another recording, all put in at once; None if not.
 
     others: `every_line` of these rests.
     """
@@ -58,15 +66,37 @@ def would_show(
     placed: list[float] = []
     for line in lines:
         size = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)
-        share = float(np.asarray(line.parameters["fraction"].value))
         placed.append(_aside(folded(middle_hz(line), rate), [*there, *placed], rate))
-        wave = np.sin(_phase(samples.t - samples.t[0], placed[-1], reach_hz(line)))
-        louder = louder + PART * np.sqrt(share) * np.outer(wave, size)
+        louder = louder + PART * np.outer(_wave(line, placed[-1], samples.t - samples.t[0]), size)
     found = tones(replace(samples, xyz=frozen(louder)), sensor, most=MOST_TRIED)
-    return [
-        any(same_line(aside, middle_hz(one), rate, reach_hz(line)) for one in found)
+    again = (
+        (one for one in found if same_line(aside, middle_hz(one), rate, reach_hz(line)))
         for line, aside in zip(lines, placed, strict=True)
-    ]
+    )
+    return [next(seen, None) for seen in again]
+
+
+def _wave(line: Finding, frequency: float, t: Array) -> Array:
+    """Return a vibration (n,) of a frequency, Hz, at times t (n,) s, there for as much of them as a line is.
+
+    One that comes and goes does so as often, and does not keep its phase: a steady one of the same power
+    shows far better.
+    """
+    share = float(np.asarray(line.parameters["fraction"].value))
+    turned = _phase(t, frequency, reach_hz(line))
+    if line.where.driver != COMES_AND_GOES:
+        return np.asarray(np.sqrt(share) * np.sin(turned))
+    period = max(line.where.t_end - line.where.t_start, 1.0) / _spells(line)
+    spell = (t / period).astype(np.int64)
+    phases = np.random.default_rng(0).uniform(0.0, 2.0 * np.pi, int(spell.max()) + 1)
+    return np.asarray(np.where(t / period - spell < share, np.sin(turned + phases[spell]), 0.0))
+
+
+def _spells(line: Finding) -> float:
+    """Return how often a line comes, as the interval of its share tells: so many spells are independent."""
+    share = np.asarray(line.parameters["fraction"].value, dtype=np.float64)
+    error = float(np.ptp(np.asarray(line.parameters["fraction"].ci95))) / (2.0 * NORMAL_95)
+    return max(float(share**2 * (1.0 - share)) / max(error, 1e-6) ** 2, 1.0)
 
 
 def _phase(t: Array, frequency: float, reach: float) -> Array:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,10 +19,12 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 NAMES = ("real.csv", "sim.csv")
 
 
-def resting(seed: int, seconds: float, lines: dict[float, float], rate: float = 50.0) -> Samples:
+def resting(
+    seed: int, seconds: float, lines: dict[float, float], rate: float = 50.0, noise: float = 0.02
+) -> Samples:
     """Return an accelerometer at rest with lines on x: amplitude (m/s^2) by frequency (Hz)."""
     t = np.arange(0.0, seconds, 1.0 / rate)
-    force = np.array([0.3, -0.5, 9.78]) + np.random.default_rng(seed).normal(0.0, 0.02, (t.size, 3))
+    force = np.array([0.3, -0.5, 9.78]) + np.random.default_rng(seed).normal(0.0, noise, (t.size, 3))
     force[:, 0] += sum(size * np.sin(2.0 * np.pi * f * t + seed) for f, size in lines.items())
     return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(force))
 
@@ -68,12 +72,36 @@ def test_a_line_and_its_alias_may_be_one() -> None:
 @pytest.mark.parametrize("gated", [0, 1])
 def test_a_line_that_comes_and_goes_in_one_of_two_is_told_once(gated: int) -> None:
     """It was lacking and superfluous, by two names."""
-    pair = [resting(seed, 900.0, {12.0: 0.01}) for seed in (1, 2)]
+    pair = [resting(seed, 900.0, {12.0: 0.015}) for seed in (1, 2)]
     pair[gated] = _off_every_other(pair[gated], resting(1 + gated, 900.0, {}))
     (told,) = compared(*pair).discrepancies
     assert (told.effect, told.relation) == ("unknown", ("lacking", "superfluous")[gated])
     own = (told.recorded, told.simulated)[gated]
     assert own is not None and own.remark.endswith(f"In {NAMES[1 - gated]} the vibration at 12 Hz is steady.")
+
+
+def test_a_line_that_comes_and_goes_in_both_may_seem_steady_in_the_fainter_one() -> None:
+    """It was lacking: in rests of 100 s it seems to be there all along, as one put in there does."""
+
+    def gated(seed: int, seconds: float) -> Samples:
+        off = resting(seed, seconds, {})
+        return _off_every_other(resting(seed, seconds, {9.03: 0.01}), off, 30.0)
+
+    found = compared(gated(1, 900.0), gated(2, 100.0))
+    assert differing(found) == []
+    untold = [m.reason for m in found.not_compared if (m.effect, m.sensor) == ("vibration_tone", "accel")]
+    assert untold == ["sim.csv: its rests would not show that a vibration comes and goes"]
+
+
+def test_a_line_that_comes_and_goes_is_put_in_so() -> None:
+    """A steady one of its power keeps its phase, and shows where none of its spells does."""
+    on = resting(1, 900.0, {9.03: 0.01})
+    (line,) = tones(_off_every_other(on, resting(1, 900.0, {}), 30.0), "accel")
+    steady = replace(line, effect="vibration_tone", where=replace(line.where, driver="time"))
+    louder = resting(2, 900.0, {}, noise=0.08)
+    assert would_show(louder, "accel", [steady]) == [True]
+    assert would_show(louder, "accel", [line]) == [False]
+    assert would_show(resting(2, 900.0, {}), "accel", [line]) == [True]
 
 
 def _off_every_other(on: Samples, off: Samples, seconds: float = 40.0) -> Samples:
