@@ -142,3 +142,22 @@ def test_a_low_pass_shows_in_quiet_rests_though_a_hand_trembles_in_most(order: i
     found = judged(quiet(pieces))
     assert found is not None and found.low_pass is not None
     assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
+
+
+def test_a_few_quiet_rests_that_tremble_are_no_low_pass() -> None:
+    """Of 20 rests 17 are loud and flat; the three quiet ones alone would show a filter at 3 Hz."""
+    pieces = 10.0 * WHITE
+    pieces[:3] = 0.1 * WHITE[:3] + lfilter(*butter(1, 2.0 * 3.0 / RATE), WHITE[:3, ::-1], axis=1)
+    found = judged(quiet(pieces))
+    assert found is not None and found.low_pass is None
+
+
+def test_rests_in_which_coarse_values_hold_still_are_not_the_quietest() -> None:
+    """Four that hold still were all that was asked beside a hand, and have no spectrum."""
+    pieces = averaged(20.0)
+    shaking = np.random.default_rng(5).normal(size=(8, 1000, 3))
+    pieces[:8] += 4.0 * lfilter(*butter(1, 2.0 * 3.0 / RATE), shaking, axis=1)
+    pieces[8:12] = 0.0
+    found = judged(quiet(pieces))
+    assert found is not None and found.low_pass is not None
+    assert found.low_pass.cutoff.value == pytest.approx(20.0, rel=0.1)

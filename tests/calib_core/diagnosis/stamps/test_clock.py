@@ -35,3 +35,11 @@ def test_stamps_that_leave_out_pauses_are_no_clock_that_is_slow() -> None:
     (pauses,) = found(t, t + 30.0 * np.floor(t / 12.0))
     assert (pauses.effect, pauses.where.driver) == ("unknown", DRIVER)
     assert "leave out pauses" in pauses.statement
+
+
+@pytest.mark.parametrize("relative", [-0.25, 0.25])
+def test_a_clock_that_is_off_by_a_quarter_is_none_either_way(relative: float) -> None:
+    t = np.arange(0.0, 300.0, 0.01)
+    (other,) = found(t * (1.0 + relative), t)
+    assert (other.effect, other.where.driver) == ("unknown", DRIVER)
+    assert f"pass {1.0 + relative:.3g} s in each second" in other.statement
