@@ -88,6 +88,17 @@ def correct(
     return Corrected(replace(held, overview=overview), corrected.left_out)
 
 
+def with_echoes(found: Sequence[Discrepancy], compared: Sequence[Difference] = ()) -> list[Discrepancy]:
+    """Return differences, also the part of another sensor in a vibration that only the recording has.
+
+    compared: what both have; a sensor of which a vibration is among them has its own.
+    """
+    own = {d.recorded.sensor for d in compared if d.recorded.effect == LINE}
+    lines = [(d, echo) for d in found if (line := _new_line(d)) is not None for echo in line.echoes]
+    echoes = [replace(d, sensor=e.sensor, axes=e.axes, recorded=e) for d, e in lines if e.sensor not in own]
+    return [*found, *echoes]
+
+
 def with_known(simulation: Recording, known: Sequence[Known]) -> Recording:
     """Return a simulation with what the known effects add put into samples and, of a long one, seconds."""
     changed = with_errors(simulation, known)

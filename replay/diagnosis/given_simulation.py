@@ -28,7 +28,7 @@ from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.condense import LongRecording
-from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of
+from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of, with_echoes
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, refuse_short, silent
 from stillcal.replay.formats.trace import Recording
 
@@ -146,7 +146,8 @@ def _added(recording: Recording, simulation: Recording, before: Comparison) -> C
         for d in before.compared
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
-    return correct(simulation, before.discrepancies, biases, span=span_of(recording.accelerometer))
+    found = with_echoes(before.discrepancies, before.compared)
+    return correct(simulation, found, biases, span=span_of(recording.accelerometer))
 
 
 def _driven(simulation: Recording, recording: Recording, bins: Bins, before: Comparison) -> Recording:

@@ -133,6 +133,7 @@ class Finding:
     """One thing that an ideal sensor does not do.
 
     departure: None where its name's form holds; remark: what else is to be known of it, in sentences.
+    echoes: what another sensor has of it, which is told in the remark.
     """
 
     effect: str
@@ -145,6 +146,7 @@ class Finding:
     statement: str
     departure: Departure | None = None
     remark: str = ""
+    echoes: tuple[Finding, ...] = ()
 
     @property
     def observed(self) -> str:

@@ -26,7 +26,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import (
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
-from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.corrected import correct, with_echoes
 from stillcal.replay.diagnosis.given_simulation import of_other_values, with_own_values
 from stillcal.replay.diagnosis.judged import (
     Judged,
@@ -127,7 +127,7 @@ def _corrected(
     recorded, simulated = pair.exams
     moved = {(s.finding.effect, s.finding.sensor) for s in motion.found}
     in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
-    played = [*pair.values.discrepancies, *in_motion]
+    played = [*with_echoes(pair.values.discrepancies, pair.values.compared), *in_motion]
     made = correct(pair.simulation, played, {})
     own, other = without_held_rows(pair.recording, made.recording)
     left = align(readings_of(own), readings_of(other), known)

@@ -129,7 +129,8 @@ def _fresh(recording: Recording) -> Recording:
 def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) -> Case:
     """Return a recording's case. against_ideal: its comparison with an ideal sensor."""
     conditions, gravity, bins = conditions_of(exam.bins), exam.claims.gravity, exam.bins
-    findings = [d.recorded for d in against_ideal.discrepancies if d.recorded is not None]
+    stated = [d.recorded for d in against_ideal.discrepancies if d.recorded is not None]
+    findings = [one for f in stated for one in (f, *f.echoes)]
     mapped = tuple(map_findings(findings, bins, conditions))
     effects = [m.effect for m in mapped if m.effect is not None]
     foreign = {id(m.finding) for m in mapped if m.effect is None}

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import overview_of
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording
-from stillcal.replay.diagnosis.corrected import correct
+from stillcal.replay.diagnosis.corrected import correct, with_echoes
 from stillcal.replay.diagnosis.given_simulation import with_own_values
 from stillcal.replay.diagnosis.sample_changes import low_passed
 from stillcal.replay.formats.claims import Claims
@@ -202,6 +202,25 @@ def hum(t_start: float, t_end: float) -> Discrepancy:
     }
     found = Finding("vibration_tone", "accel", ["z"], where, parameters, Evidence(9.0), [], "")
     return Discrepancy("vibration_tone", "accel", ["z"], where, "lacking", 1.0, 9.0, recorded=found)
+
+
+def test_what_the_gyroscope_has_of_a_vibration_is_put_in_with_it_unless_it_has_its_own() -> None:
+    t = np.arange(5000) / 50.0
+    still = (Samples(kind, t, np.zeros((t.size, 3))) for kind in (Sensor.ACCELEROMETER, Sensor.GYROSCOPE))
+    felt = hum(0.0, 100.0)
+    assert felt.recorded is not None
+    size = {"amplitude": Parameter([0.0, 0.003, 0.0], None, "rad/s")}
+    echo = replace(felt.recorded, sensor="gyro", axes=["y"], parameters=felt.recorded.parameters | size)
+    one = replace(felt, recorded=replace(felt.recorded, echoes=(echo,)))
+    done = correct(Recording(*still, [], Claims(), []), with_echoes([one]), {}).recording
+    assert done.gyroscope is not None
+    spread = np.std(done.gyroscope.xyz, axis=0)
+    assert spread == pytest.approx(np.array([0.0, 0.003, 0.0]) / np.sqrt(2.0), rel=0.01)
+    none, axis_of = np.zeros(0), np.zeros(0, dtype=np.int64)
+    own = Quantity(
+        "vibration_tone", "gyro", (), none, np.zeros((0, 0)), none, none, axis_of, where=echo.where
+    )
+    assert with_echoes([one], [subtract(own, own)]) == [one]
 
 
 def test_a_vibration_for_a_while_is_in_the_same_part_of_the_simulation() -> None:

@@ -140,7 +140,7 @@ def test_a_finding_encodes_to_the_documented_structure() -> None:
     table = msgspec.json.decode(msgspec.json.encode(plain(finding)))
     assert set(table) == {
         "effect", "sensor", "axes", "where", "parameters", "evidence", "alternatives", "statement",
-        "departure", "remark",
+        "departure", "remark", "echoes",
     }  # fmt: skip
     assert set(table["where"]) == {"t_start", "t_end", "band_hz", "driver"}
     assert table["parameters"]["step"]["unit"] == "rad/s"
