@@ -23,6 +23,7 @@ from stillcal.replay.diagnosis.phone.phone_effects import MappedFinding
 from stillcal.replay.diagnosis.phone.twin import AffinePhone, Conditions
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.on_input import VibrationTone
 from stillcal.replay.phone.phone import Claims, Phone, dump_phone
 from stillcal.replay.phone.settings import (
     ClockSettings,
@@ -139,7 +140,7 @@ def _sensor(
     coarse = any(e.name.endswith("quantisation") and e.concerns(samples.sensor) for e in effects)
     # Noise below a coarse step cannot be measured: only the maker's claim is left.
     rounding = max([0.0, *steps]) ** 2 / (6.0 * rate)
-    level = np.full(3, claimed) if coarse and claimed else _density(samples, bins, rounding)
+    level = np.full(3, claimed) if coarse and claimed else _density(samples, bins, effects, rounding)
     lsb = float(np.median(steps)) if steps and not coarse else 0.0
     return SensorSettings(
         rate_hz=round(rate, 6),
@@ -177,12 +178,14 @@ def _walks(samples: Samples, effects: Sequence[Effect]) -> bool:
     return any(e.name.endswith("bias_random_walk") and e.concerns(samples.sensor) for e in effects)
 
 
-def _density(samples: Samples, bins: Bins, rounding: float) -> Array:
+def _density(samples: Samples, bins: Bins, effects: Sequence[Effect], rounding: float) -> Array:
     """Return the density (3,) of single samples' noise inside rests, below any cutoff; 0 without rests.
 
-    rounding: what the step of the values adds to its square.
+    Below a low cutoff are few frequencies: a vibration would be most of their noise. rounding: what the step
+    of the values adds to its square.
     """
-    still = quiet(samples, bins)
+    tones = [e for e in effects if isinstance(e, VibrationTone) and e.concerns(samples.sensor)]
+    still = quiet(samples, bins, [e.frequency for e in tones])
     if len(still.pieces) < 3:
         return np.zeros(3)
     return density(still, rounding)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smallest
@@ -112,4 +113,20 @@ def test_a_vibration_put_into_the_gyroscope_alone_is_there_afterwards() -> None:
     judged = judge_simulation(shaken(1, 4e-3), shaken(2, 0.0))
     assert [(f["effect"], f["sensor"]) for f in judged.answer["findings"]] == [("vibration_tone", "gyro")]
     assert judged.answer["fit"]["p_before"] < 1e-9 and judged.answer["fit"]["p_after"] == 1.0
+    assert judged.answer["verdict"] == "identified"
+
+
+@pytest.mark.slow
+def test_a_vibration_of_both_sensors_behind_a_low_pass_is_all_that_they_lack() -> None:
+    """The gyroscope's part is told with the accelerometer's; of few frequencies the vibration is the most."""
+    rng, t = np.random.default_rng(3), np.arange(0.0, 240.0, 0.02)
+    wave = np.sin(2.0 * np.pi * 4.7 * t)[:, None]
+    white = rng.normal(0.0, 1.0, (2, t.size, 3)) * np.array([0.02, 1.5e-3])[:, None, None]
+    noise = lfilter(*butter(2, 6.0 / 25.0), white, axis=1)
+    force, rate = np.array([0.3, -0.5, 9.78]) + noise[0] + 0.04 * wave, noise[1] + 3e-3 * wave
+    streams = ((Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate))
+    samples = [Samples(sensor, frozen(t), frozen(xyz)) for sensor, xyz in streams]
+    judged = judge_built_in(Recording(*samples, [], Claims(), [], name="fan.csv"))
+    found = sorted((f["effect"], f["sensor"]) for f in judged.answer["findings"])
+    assert found == [("bandwidth", "accel"), ("bandwidth", "gyro"), ("vibration_tone", "accel")]
     assert judged.answer["verdict"] == "identified"
