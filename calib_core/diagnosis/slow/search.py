@@ -153,13 +153,47 @@ def forward(
     while len(steps) < thresholds.MAX_FINDINGS:
         before = [h for s in steps for h in s.explained]
         ranked = ranking(residuals, effects, before)
-        if not ranked or ranked[0].score < threshold:
+        if ranked and ranked[0].score >= threshold:
+            step = prefer_named(residuals, Step(ranked[0], tuple(ranked[1:])), before)
+            step = refined(residuals, prefer_original(prefer_pair(residuals, step, before)), before)
+        elif (pair := of_hidden_pair(residuals, ranked, effects, before, threshold)) is not None:
+            step = refined(residuals, pair, before)
+        else:
             break
-        step = prefer_named(residuals, Step(ranked[0], tuple(ranked[1:])), before)
-        step = refined(residuals, prefer_original(prefer_pair(residuals, step, before)), before)
         steps.append(step)
         effects = [e for e in effects if not _spent(e, step.winner.hypothesis.effect)]
     return forms_anew(residuals, steps)
+
+
+def of_hidden_pair(
+    residuals: SensorResiduals,
+    ranked: Sequence[Scored],
+    effects: Sequence[Effect],
+    before: Sequence[Hypothesis],
+    threshold: float,
+) -> Step | None:
+    """Return the better of two named effects that pass the threshold only beside each other, or None.
+
+    To either of them the other one is noise that differs from rest to rest, large enough to hide it. Each of
+    the best few names is tried with the best second, which pays for the number of these.
+    """
+    named = [s for s in ranked if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
+    best, chosen = -np.inf, None
+    for one in named:
+        others = [e for e in effects if not _spent(e, one.hypothesis.effect)]
+        beside = [*before, one.hypothesis]
+        top, *rest = ranking(residuals, others, beside) or [one]
+        if top is one or top.score < threshold + float(np.log10(len(named))):
+            continue
+        second = prefer_named(residuals, Step(top, tuple(rest)), beside).winner
+        if second.hypothesis.effect.name == "unknown":
+            continue
+        own = proposals(residuals, [one.hypothesis.effect])
+        first = compete(residuals, own, [*before, second.hypothesis])[:1]
+        if first and first[0].score >= threshold and first[0].score + second.score > best:
+            best = first[0].score + second.score
+            chosen = Step(first[0], tuple(s for s in ranked if s is not one))
+    return chosen
 
 
 def forms_anew(residuals: SensorResiduals, steps: Sequence[Step]) -> list[Step]:

@@ -8,6 +8,7 @@ import pytest
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature, ScaleTemperature
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
+from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import search
@@ -63,3 +64,20 @@ def test_a_form_that_is_found_first_is_chosen_again_beside_what_is_found_later()
     steps = [search.Step(bias[curve], (bias[line],)), search.Step(scale, ())]
     assert search.forms_anew(residuals, steps)[0].winner.hypothesis.effect is line
     assert search.forms_anew(residuals, steps[:1]) == steps[:1], "alone it was chosen so"
+
+
+def test_two_effects_that_hide_each_other_are_found_together() -> None:
+    """A step is noise to a nonlinearity and the reverse: alone, each scores less than the threshold."""
+    rng = np.random.default_rng(4)
+    rest = np.repeat(np.arange(40), 25)
+    rest[np.arange(1000) % 25 >= 20] = -1
+    up = nulls.random_attitudes(rng, 40)[rest]
+    t, same = np.arange(1000.0), np.zeros(1000)
+    error = 4e-4 * (nulls.G * up) ** 2 * [1.0, -1.0, 0.0] + np.outer(t >= 433.0, [0.05, 0.0, 0.04])
+    day = nulls.Day(t, rest, up, same + 25.0, same)
+    bins = nulls.bins_of(rng, day, "white", accel_error=error, thermometer=False, charger=False)
+    residuals = by_sensor(bins, nulls.G)[0]
+    effects = effects_in(residuals)
+    assert search.ranking(residuals, effects)[0].score < thresholds.SCORE
+    found = {s.winner.hypothesis.effect.name for s in search.forward(residuals, effects)}
+    assert found == {"accel_nonlinearity", "accel_bias_step"}
