@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.clear_bins import (
     limits_of,
     outside_of,
@@ -30,6 +31,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
+from stillcal.calib_core.diagnosis.noise.lines.line import WANDERS, middle_hz
 from stillcal.calib_core.diagnosis.segments.noiseless import audible
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins, overview_of
@@ -48,6 +50,7 @@ from stillcal.calib_core.diagnosis.slow.wander import sizes_along_gravity
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.rms import rms
+from stillcal.calib_core.maths.sines import without_vibrations
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.streams.time_series import TimeSeries
@@ -251,8 +254,9 @@ def _with_motion(
         affine, turns = turned(rates)
     filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra and s.tells_filter})
     if exam.other_axes is None:
+        force, rate = _without_lines(exam.streams, exam.accelerometer, exam.gyroscope)
         motion = shown_in_motion(
-            exam.accelerometer, exam.gyroscope, affine, gravity, sound["time_offset"],
+            force, rate, affine, gravity, sound["time_offset"],
             spoiled=[*exam.spoiled, *exam.on_limits], filters=filters,
             untold=[s.sensor for s in exam.streams if s.hides_filter],
         )  # fmt: skip
@@ -275,6 +279,15 @@ def _with_motion(
         delay=motion.delay,
         why_no_delay=motion.why_none,
     )
+
+
+def _without_lines(streams: Sequence[Stream], *sensors: Samples) -> list[Samples]:
+    """Return samples without the vibrations of any sensor: they shake each in a phase of its own.
+
+    Beside a turn of the same frequency that would be an arm, or a delay, that no other turn shows.
+    """
+    lines = [middle_hz(line) for s in streams for line in s.lines if line.where.driver != WANDERS]
+    return [replace(s, xyz=frozen(without_vibrations(s.xyz, s.t, lines))) for s in sensors]
 
 
 def _with_tilts(exam: Examination, seconds: Overview) -> Examination:
