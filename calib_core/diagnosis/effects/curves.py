@@ -31,6 +31,10 @@ REST_TAUS = (15.0, 40.0, 100.0, 250.0, 600.0)
 LAGS = (0.0, 200.0, 1000.0)
 """s by which a sensor's temperature may follow the thermometer's."""
 
+BETWEEN = (20.0, 40.0, 80.0, 160.0, 320.0)
+"""s of further lags of a straight line. In a chamber that swings, what is late by another lag is told by that
+of a grid with steps of two; by a coarser one, a period in time fits better."""
+
 HEATS = (60.0, 150.0, 400.0, 1000.0, 2500.0)
 """s within which a charger's heat builds up."""
 

@@ -120,17 +120,28 @@ class SmoothCurve(Unknown):
     """
 
     def __init__(
-        self, sensor: str, follows: str, of: str, driver: curves.Driver, lags: Sequence[float] = (0.0,)
+        self,
+        sensor: str,
+        follows: str,
+        of: str,
+        driver: curves.Driver,
+        lags: Sequence[float] = (0.0,),
+        *,
+        between: Sequence[float] = (),
     ) -> None:
-        """Take what it follows, and the driver (`of`) that named effects follow and this one departs from."""
+        """Take what it follows, and the driver (`of`) that named effects follow and this one departs from.
+
+        between: further lags, of a straight line alone.
+        """
         super().__init__(sensor, follows, Linear("amplitude", UNIT[sensor], 3 * COSINES, SIZE[sensor]))
-        self.of, self.driver, self.lags = of, driver, lags
+        self.of, self.driver, self.lags, self.between = of, driver, lags, between
 
     def points(self, moments: Moments) -> Sequence[Grid]:
         """Return the correlation lengths and lags, where the driver changes."""
         if self.driver(moments, self.lags[0]) is None:
             return []
-        return [{"length": length, "lag_s": lag} for length, lag in product(LENGTHS, self.lags)]
+        bends = [{"length": length, "lag_s": lag} for length, lag in product(LENGTHS, self.lags)]
+        return [*bends, *({"length": np.inf, "lag_s": lag} for lag in self.between)]
 
     def response(self, moments: Moments, grid: Grid) -> Array:
         """Return each cosine on each axis in turn, (n, 3, 3 COSINES), with the process' deviations."""
@@ -395,7 +406,14 @@ class GainByDirection(Unknown):
 def unknown_effects(sensor: str) -> list[Effect]:
     """Return the nameless effects of one sensor, in rests and in turns."""
     own: list[Effect] = [
-        SmoothCurve(sensor, "temperature's past or bend", "temperature", curves.warmth, curves.LAGS),
+        SmoothCurve(
+            sensor,
+            "temperature's past or bend",
+            "temperature",
+            curves.warmth,
+            curves.LAGS,
+            between=curves.BETWEEN,
+        ),
         SmoothCurve(sensor, "rate of heating", "temperature", curves.heating, HEATING_WIDTHS),
         SmoothCurve(sensor, "the past of charging", "charging", curves.plugged, curves.HEATS),
         SmoothCurve(sensor, SHAKEN, SHAKEN, curves.shaking),

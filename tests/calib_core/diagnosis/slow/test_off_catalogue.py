@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from stillcal.calib_core.diagnosis.effects import curves
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
@@ -135,6 +136,23 @@ def test_a_curve_that_no_polynomial_is_follows_temperature_without_a_name() -> N
     assert {f.effect for f in found} == {"unknown"}
     # Twice as sharp it is two levels in time, with 18 nats more than as a curve of temperature.
     assert found[0].where.driver == "temperature's past or bend"
+
+
+@pytest.mark.parametrize("lag", [28.0, 60.0, 110.0])
+def test_a_bias_that_comes_late_in_a_chamber_follows_temperature_and_no_period(lag: float) -> None:
+    """The chamber's temperature is a sine, and so is a bias behind it, but for its beginning."""
+    t = np.arange(1000.0)
+    day = nulls.Day(t, np.where(t % 30.0 < 26.0, t // 30.0, -1).astype(int), *np.zeros((3, 1000)))
+    rng, now = np.random.default_rng(2), -np.cos(4e-3 * np.pi * t)
+    day.up, day.temperature = nulls.random_attitudes(rng, 34)[day.rest], 25.0 + 12.0 * now
+    keep = float(np.exp(-1.0 / lag))
+    late = lfilter([1.0 - keep], [1.0, -keep], now - now[0]) + now[0]
+    error = np.outer(late, 12.0 * np.array([3e-4, -2e-4, 1e-4]))
+    residuals = by_sensor(nulls.bins_of(rng, day, QUIET, gyro_error=error, charger=False), nulls.G)[1]
+    rivals = [
+        e for e in effects_of("gyro") if e.follows in ("a period in time", "temperature's past or bend")
+    ]
+    assert ranking(residuals, rivals)[0].hypothesis.effect.follows == "temperature's past or bend"
 
 
 def test_an_effect_taken_out_of_the_catalogue_is_unknown_and_says_what_it_follows() -> None:
