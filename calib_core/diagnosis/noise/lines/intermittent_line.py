@@ -51,6 +51,12 @@ FLOORS = (0.5, 0.7, 1.0, 1.4)
 LEVELS, PARTS = 20, 9
 """Grid points of the line's level, and of the part of the time in which it is there."""
 
+SHARES = ((np.arange(PARTS) + 0.5) / PARTS)[:, None, None]
+"""These parts of the time, (PARTS, 1, 1)."""
+
+SMALL = 1e-9
+"""Weight of grid points that tells nothing more."""
+
 STRAY = 0.02
 """Part of the pieces in which anything may happen."""
 
@@ -190,16 +196,15 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
     inside = (pieces.t > span[0]) & (pieces.t < span[1])
     known = inside | ~near
     t, s, inside, louder = pieces.t[known], pieces.amplitude[known], inside[known], pieces.louder()[known]
-    grid = _densities(s, inside, louder)
-    steady, changing, here = grid.steady, grid.changing, grid.here
+    grid = _Grid.of(s, louder)
+    steady, changing = grid.of_parts(inside)
     gain = _predicted(changing) - _predicted(steady)
     of_grid = changing.sum(axis=1)
     nats = _evidence(of_grid) - _evidence(steady.sum(axis=1))
     weight = np.exp(of_grid - of_grid.max())
     weight /= weight.sum()
-    chance = weight @ here
-    there = chance > 0.5
-    level = float(weight @ grid.level)
+    there = grid.here(weight) > 0.5
+    level = float(weight @ np.tile(grid.levels, weight.size // LEVELS))
     line = level * louder
     held_out = HeldOut(gain, rms(s - np.where(inside, line, 0.0)), rms(s - np.where(there, line, 0.0)))
     ends = (float(t[there].min()), float(t[there].max())) if there.any() else span
@@ -212,35 +217,55 @@ def _told(pieces: Pieces, where: Where, edge: float) -> _Told:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Densities:
-    """Log densities of every piece, (G, n) of each model's own G grid points.
+class _Grid:
+    """What both models are tried with, for n pieces; summed as it is worked out, as it is too much to hold.
 
-    here: (G, n) the probability that the line is there if it comes and goes; level: (G,) of that grid.
+    s: (n,) amplitudes over noise; louder: (n,) how far the line stands above each one's; levels: (LEVELS,).
     """
 
-    steady: Array
-    changing: Array
-    here: Array
-    level: Array
+    s: Array
+    louder: Array
+    levels: Array
 
+    @classmethod
+    def of(cls, s: Array, louder: Array) -> _Grid:
+        """Take the levels that such amplitudes allow for."""
+        alike = s / louder
+        top = float(np.quantile(alike, 0.95))
+        lowest = max(0.3 * float(np.quantile(alike, 0.5)), 0.05 * top)
+        return cls(s, louder, np.geomspace(lowest, 1.5 * top, LEVELS))
 
-def _densities(s: Array, inside: NDArray[np.bool_], louder: Array) -> _Densities:
-    """Return the densities of amplitudes s (n,) over noise, of a line that stands `louder` (n,) above it."""
-    alike = s / louder
-    top = float(np.quantile(alike, 0.95))
-    levels = np.geomspace(max(0.3 * float(np.quantile(alike, 0.5)), 0.05 * top), 1.5 * top, LEVELS)
-    stray = STRAY / (np.maximum(s, 1e-12) * STRAY_RANGE)
-    shares = ((np.arange(PARTS) + 0.5) / PARTS)[:, None, None]
-    steady, changing, here = [], [], []
-    for scatter, floor in product(SCATTERS, FLOORS):
-        there = (1.0 - STRAY) * _there(s, levels[:, None] * louder, scatter, floor)
-        gone = (1.0 - STRAY) * _gone(s, floor)
-        steady += [np.log(there + stray), np.log(np.where(inside, there, gone) + stray)]
-        both = shares * there + (1.0 - shares) * gone + stray
-        changing.append(np.log(both).reshape(-1, s.size))
-        here.append((shares * there / both).reshape(-1, s.size))
-    of = np.tile(levels, len(changing) * PARTS)
-    return _Densities(np.concatenate(steady), np.concatenate(changing), np.concatenate(here), of)
+    def of_parts(self, inside: NDArray[np.bool_]) -> tuple[Array, Array]:
+        """Return the log densities (G, k) of each model's grid points for every block of pieces left out.
+
+        inside: (n,) whether a piece lies in the steady line's span.
+        """
+        fold = blocks(self.s.size)
+        own = (fold[:, None] == np.unique(fold)).astype(np.float64)
+        steady, changing = [], []
+        for scatter, floor in product(SCATTERS, FLOORS):
+            there, gone, stray = self._densities(scatter, floor)
+            steady += [np.log(there + stray) @ own, np.log(np.where(inside, there, gone) + stray) @ own]
+            both = SHARES * there + (1.0 - SHARES) * gone + stray
+            changing.append((np.log(both) @ own).reshape(-1, own.shape[1]))
+        return np.concatenate(steady), np.concatenate(changing)
+
+    def here(self, weight: Array) -> Array:
+        """Return the probability (n,) that a line that comes and goes is there; weight: (G,) of its grid."""
+        chance = np.zeros(self.s.size)
+        of_each = weight.reshape(-1, PARTS, LEVELS, 1)
+        for of_one, (scatter, floor) in zip(of_each, product(SCATTERS, FLOORS), strict=True):
+            if of_one.sum() > SMALL:
+                there, gone, stray = self._densities(scatter, floor)
+                both = SHARES * there + (1.0 - SHARES) * gone + stray
+                chance += (of_one * SHARES * there / both).sum(axis=(0, 1))
+        return chance
+
+    def _densities(self, scatter: float, floor: float) -> tuple[Array, Array, Array]:
+        """Return the densities (L, n) of a line that is there, (n,) of none, and (n,) of anything."""
+        there = (1.0 - STRAY) * _there(self.s, self.levels[:, None] * self.louder, scatter, floor)
+        stray = STRAY / (np.maximum(self.s, 1e-12) * STRAY_RANGE)
+        return there, (1.0 - STRAY) * _gone(self.s, floor), stray
 
 
 def _there(s: Array, level: Array, scatter: float, floor: float) -> Array:
@@ -293,10 +318,8 @@ def _evidence(densities: Array) -> float:
     return float(np.logaddexp.reduce(densities) - np.log(densities.size))
 
 
-def _predicted(densities: Array) -> float:
-    """Return the log probability of every block of pieces, as the others tell it; densities: (G, n)."""
-    fold = blocks(densities.shape[1])
-    of_blocks = densities @ (fold[:, None] == np.unique(fold)).astype(np.float64)
+def _predicted(of_blocks: Array) -> float:
+    """Return the log probability of every block of pieces, as the others tell it; of_blocks: (G, k)."""
     whole = of_blocks.sum(axis=1)
     return sum(_evidence(whole) - _evidence(whole - one) for one in of_blocks.T)
 

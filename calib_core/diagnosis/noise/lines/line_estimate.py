@@ -55,6 +55,10 @@ AS_GIVEN = 1e-3
 REACH = 4.0
 """Standard errors of a line's frequency within which it is looked for by phase."""
 
+MOST_TURNED = 2_000_000
+"""Phases that are tried: so many frequencies times stretches. Rests of a day, hours apart, allow for so many
+frequencies that the phase tells none; they took 11 GB."""
+
 IN_STEP = 0.9
 """Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
 exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
@@ -169,11 +173,14 @@ def _left_out(values: Sequence[float]) -> float:
 def _in_step(seen: Stretches, rows: Index, near: float, error: float) -> tuple[float, float]:
     """Return frequency and standard error of a line, by its phase from stretch to stretch where it keeps one.
 
+    Both stay as they are where too many frequencies would have to be tried.
     near, error: Hz, as single stretches tell it, and as it stays for a line that loses its phase.
     """
     line, middle = _amplitudes(seen, rows, near)[:, 0], seen.span[rows].mean(axis=1)
     step = 1.0 / float(seen.span[rows[-1], 1] - seen.span[rows[0], 0])
     reach = min(max(REACH * error, step), 0.5 / float(np.diff(middle).min()))
+    if 2.0 * reach / (FINE * step) * rows.size > MOST_TURNED:
+        return near, error
     grid = np.arange(-reach, reach + FINE * step, FINE * step)
     turned = np.exp(-2j * np.pi * np.outer(near + grid, middle - middle.mean()))
 

@@ -41,16 +41,21 @@ LEAST_PART = 0.5
 LEAST_SHOWN = 10
 """Stretches that do not overlap and show it: of fewer a path is no course."""
 
+NEAR = 3.0
+"""Times the usual distance of stretches up to which successive ones are near: rests may be hours apart."""
+
 CHANCES = 3.0
 """Standard deviations by which successive frequencies must be more alike than by chance (von Neumann)."""
 
 MOST_GAP = 1.0 / 3.0
 """Part of its range, at most, in which it is never: what goes from one speed to another is two lines."""
 
-STEADY = 0.5
-"""Relative variance of its power, at most. Noise of a narrow band, as of a hand, has 1."""
+AS_LOUD, LEAST_AS_LOUD = 3.0, 0.85
+"""Factor of the median within which its power is in so large a part of the stretches that have it, at least.
+Of noise of a narrow band, as of a hand, two thirds are; what else is loud in a rest is not the line."""
 
 EDGES = (0.025, 0.975)
+"""Quantiles of its frequency between which it is said to be."""
 
 
 def wandering_line(
@@ -64,21 +69,23 @@ def wandering_line(
     if seen is None:
         return None
     track = _track(seen, above_hz)
-    if track is None or not track.wanders(resolved_hz) or not _steady_and_narrow(seen, track):
+    if track is None or not track.wanders(resolved_hz):
         return None
-    return _stated(sensor, seen, track)
+    about = _about(seen, track.rows, track.at, 20).sum(axis=0)
+    return _stated(sensor, seen, track) if narrow(about, 3 * track.rows.size) else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Track:
     """A line's course.
 
-    rows, at: (n,) stretches that have it, and its places there; hz: (n,); ratio: (n, 3) of its power to that
-    of its neighbours; part: of the time that all stretches hold.
+    rows, at: (n,) stretches that have it, and its places there; t: (n,) s; hz: (n,); ratio: (n, 3) of its
+    power to that of its neighbours; part: of the time that all stretches hold.
     """
 
     rows: Index
     at: Index
+    t: Array
     hz: Array
     ratio: Array
     part: float
@@ -88,13 +95,15 @@ class _Track:
 
         Of independent frequencies the squares of differences are twice the variance (von Neumann 1941).
         """
-        apart, wide = self.hz[::2], float(np.ptp(np.quantile(self.hz, EDGES)))
-        if apart.size < LEAST_SHOWN or wide <= resolved_hz:
+        low, high = np.quantile(self.hz, EDGES)
+        if high - low <= resolved_hz or np.diff(np.sort(self.hz)).max() > MOST_GAP * (high - low):
             return False
-        if np.diff(np.sort(self.hz)).max() > MOST_GAP * wide:
+        apart = self.hz[::2]
+        near = np.diff(self.t[::2]) < NEAR * np.median(np.diff(self.t[::2]))
+        if near.sum() < LEAST_SHOWN - 1:
             return False
-        alike = float((np.diff(apart) ** 2).mean() / (2.0 * apart.var()))
-        return bool(alike < 1.0 - CHANCES / np.sqrt(apart.size))
+        alike = float((np.diff(apart)[near] ** 2).mean() / (2.0 * apart.var()))
+        return bool(alike < 1.0 - CHANCES / np.sqrt(near.sum()))
 
 
 def _track(seen: Stretches, above_hz: float) -> _Track | None:
@@ -111,16 +120,27 @@ def _track(seen: Stretches, above_hz: float) -> _Track | None:
     if seen.share[shown].sum() < LEAST_PART * seen.share.sum():
         return None
     rows = np.flatnonzero(clearest > LOUDEST)
-    part = float(seen.share[rows].sum() / seen.share.sum())
     at = _top(seen, rows, path[rows])
-    return _Track(rows, at, _between(seen, rows, at), ratio[rows, at], part)
+    power = _about(seen, rows, at, 2).sum(axis=1)
+    as_loud = np.abs(np.log(power / np.median(power))) < np.log(AS_LOUD)
+    if as_loud.mean() < LEAST_AS_LOUD:
+        return None
+    rows, at = rows[as_loud], at[as_loud]
+    part = float(seen.share[rows].sum() / seen.share.sum())
+    return _Track(rows, at, seen.span[rows].mean(axis=1), _between(seen, rows, at), ratio[rows, at], part)
 
 
 def _top(seen: Stretches, rows: Index, at: Index) -> Index:
     """Return the place (n,) of the largest power about the path, on which all that is loud counts alike."""
-    near = np.clip(at[:, None] + np.arange(-OWN // 2, OWN // 2 + 1), 0, seen.f.size - 1)
-    top = np.argmax(seen.power[rows[:, None], near].sum(axis=2), axis=1)
-    return np.asarray(near[np.arange(rows.size), top])
+    reach = OWN // 2
+    top = at + np.argmax(_about(seen, rows, at, reach), axis=1) - reach
+    return np.asarray(np.clip(top, 0, seen.f.size - 1), dtype=np.int64)
+
+
+def _about(seen: Stretches, rows: Index, at: Index, reach: int) -> Array:
+    """Return the power (n, 2 reach + 1) of all axes about the places of a line."""
+    near = np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, seen.f.size - 1)
+    return np.asarray(seen.power[rows[:, None], near].sum(axis=2))
 
 
 def _reach(seen: Stretches) -> Index:
@@ -154,15 +174,6 @@ def _between(seen: Stretches, rows: Index, at: Index) -> Array:
     a, b, c = (power[rows, np.clip(at + k, 0, seen.f.size - 1)] for k in (-1, 0, 1))
     bend = np.minimum(a - 2.0 * b + c, -1e-12)
     return np.asarray((at + np.clip(0.5 * (a - c) / bend, -0.5, 0.5)) * float(seen.f[1]))
-
-
-def _steady_and_narrow(seen: Stretches, track: _Track) -> bool:
-    """Whether it is a line in each stretch, of the same power in all, as no tremor is."""
-    steps = np.arange(-20, 21)
-    at = np.clip(track.at[:, None] + steps, 0, seen.f.size - 1)
-    about = seen.power[track.rows[:, None], at].sum(axis=2)
-    power = about[:, np.abs(steps) <= 2].sum(axis=1)
-    return bool(power.var() < STEADY * power.mean() ** 2) and narrow(about.sum(axis=0), 3 * track.rows.size)
 
 
 def _stated(sensor: str, seen: Stretches, track: _Track) -> Finding | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tracemalloc
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -367,3 +368,20 @@ def test_what_no_stretch_shows_is_not_narrow() -> None:
     elsewhere = replace(line, where=replace(line.where, t_start=1000.0, t_end=1030.0))
     assert rests.short is not None
     assert spectral_line._narrow(rests.short, line) and not spectral_line._narrow(rests.short, elsewhere)
+
+
+def test_rests_hours_apart_need_no_more_memory_than_rests_minutes_apart() -> None:
+    """A line whose frequency is not sure may have any of a million in them; a day took 11 GB."""
+    rng, rate = np.random.default_rng(1), 50.0
+    own = np.arange(0.0, 60.0, 1.0 / rate)
+    t = np.concatenate([own + 1800.0 * k for k in range(40)])
+    xyz = rng.normal([0.0, 0.0, 9.81], NOISE, (t.size, 3))
+    xyz[:, 2] += np.concatenate(
+        [0.01 * np.sin(2.0 * np.pi * (9.0 + rng.normal(0.0, 0.02)) * own) for _ in range(40)]
+    )
+    tracemalloc.start()
+    found = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert [round(middle_hz(f)) for f in found] == [9]
+    assert peak < 300e6
