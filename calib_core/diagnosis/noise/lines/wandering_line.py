@@ -204,13 +204,11 @@ def _stated(sensor: str, seen: Stretches, track: _Track) -> Finding | None:
 
 
 def without_its_parts(lines: Sequence[Finding], wandering: Finding, rate: float) -> list[Finding]:
-    """Return the lines that are neither a part of one that wanders nor of its harmonics; rate: Hz."""
+    """Return the lines that are neither a part of one that wanders nor of its harmonics; rate: Hz.
+
+    A harmonic wanders as many times as far. Lines as far beside it again as the first wanders are its skirts.
+    """
     low, high = wandering.where.band_hz
-    apart = high - low
-
-    def of_it(hz: float) -> bool:
-        orders = np.arange(1, MOST_HARMONICS + 1)
-        middle = (low + high) / 2.0
-        return any(abs(hz - folded(n * middle, rate)) <= n * apart for n in orders)
-
-    return [f for f in lines if not of_it(middle_hz(f))]
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    parts = [(folded(n * middle, rate), (n + 1) * half) for n in range(1, MOST_HARMONICS + 1)]
+    return [f for f in lines if all(abs(middle_hz(f) - hz) > reach for hz, reach in parts)]
