@@ -91,12 +91,20 @@ def correct(
 def with_echoes(found: Sequence[Discrepancy], compared: Sequence[Difference] = ()) -> list[Discrepancy]:
     """Return differences, also the part of another sensor in a vibration that only the recording has.
 
-    compared: what both have; a sensor of which a vibration is among them has its own.
+    compared: what both have; a sensor whose part of this vibration is among them has its own.
     """
-    own = {d.recorded.sensor for d in compared if d.recorded.effect == LINE}
+    own = [d.recorded for d in compared if d.recorded.effect == LINE]
     lines = [(d, echo) for d in found if (line := _new_line(d)) is not None for echo in line.echoes]
-    echoes = [replace(d, sensor=e.sensor, axes=e.axes, recorded=e) for d, e in lines if e.sensor not in own]
-    return [*found, *echoes]
+    new = ((d, e) for d, e in lines if not any(_is_part(one, e) for one in own))
+    return [*found, *(replace(d, sensor=e.sensor, axes=e.axes, recorded=e) for d, e in new)]
+
+
+def _is_part(one: Quantity, echo: Finding) -> bool:
+    """Whether a vibration that both have is this part of another one, of the same sensor and frequency."""
+    if one.sensor != echo.sensor or one.where is None:
+        return False
+    (low, high), (least, most) = one.where.band_hz, echo.where.band_hz
+    return low <= most and least <= high
 
 
 def with_known(simulation: Recording, known: Sequence[Known]) -> Recording:

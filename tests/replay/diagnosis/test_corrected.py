@@ -221,6 +221,8 @@ def test_what_the_gyroscope_has_of_a_vibration_is_put_in_with_it_unless_it_has_i
         "vibration_tone", "gyro", (), none, np.zeros((0, 0)), none, none, axis_of, where=echo.where
     )
     assert with_echoes([one], [subtract(own, own)]) == [one]
+    other = replace(own, where=replace(echo.where, band_hz=(11.9, 12.1)))
+    assert len(with_echoes([one], [subtract(other, other)])) == 2, "another vibration of it is not this one"
 
 
 def test_a_vibration_for_a_while_is_in_the_same_part_of_the_simulation() -> None:
