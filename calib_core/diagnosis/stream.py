@@ -245,7 +245,7 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
         felt = is_line(one) and one.sensor == "accel"
         also = [f for f in heard if felt and of_one_vibration(f, one)]
         echoes += also
-        told = " ".join([one.remark, *map(_echo, also)])
+        told = " ".join(filter(None, [one.remark, *map(_echo, also)]))
         kept.append(replace(one, remark=told, echoes=tuple(also)) if also else one)
     return [f for f in kept if not any(f is echo for echo in echoes)]
 

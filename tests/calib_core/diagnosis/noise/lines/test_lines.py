@@ -14,6 +14,7 @@ from scipy.signal import lfilter
 from scipy.special import ive
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis import stream
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise.lines import spectral_line
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import scaled_bessel
@@ -218,6 +219,9 @@ def test_a_line_that_both_sensors_feel_is_the_forces_alone() -> None:
     assert by_sensor == {"accel": [17.3, 31.7], "gyro": [12.4, 40.1]}
     remarks = {round(middle_hz(f), 1): f.remark for f in found if f.sensor == "accel"}
     assert re.search(r"The gyroscope has it too, amplitude z 0\.00\d+ rad/s\.", remarks[31.7])
+    one = next(f for f in found if f.remark == remarks[31.7])
+    (told,) = stream._without_echoes([replace(one, remark="", echoes=()), *one.echoes])
+    assert told.remark.startswith("The gyroscope"), "no blank before the only sentence"
     assert "gyroscope" not in remarks[17.3]
 
 
