@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
+from stillcal.calib_core.diagnosis.stream import of_one_vibration
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE = 50.0
@@ -69,6 +72,18 @@ def test_noise_of_a_narrow_band_does_not_wander(width: float) -> None:
     assert all(line.where.driver != WANDERS for line in found(0.1 * wave / wave.std()))
 
 
+def test_a_rest_of_half_an_hour_with_noise_of_a_narrow_band_is_no_fan() -> None:
+    """In half a minute its frequency goes its way too, but its amplitude comes and goes."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 900.0, 0.01)
+    slow = np.fft.rfft(rng.standard_normal((2, t.size)), axis=1)
+    slow *= 1.0 / (1.0 + (np.fft.rfftfreq(t.size, 0.01) / 0.03) ** 4)
+    cosine, sine = np.fft.irfft(slow, t.size, axis=1)
+    wave = cosine * np.cos(2.0 * np.pi * 13.55 * t) + sine * np.sin(2.0 * np.pi * 13.55 * t)
+    xyz = rng.normal([0.0, 0.0, 9.81], 0.02, (t.size, 3)) + np.outer(0.3 * wave / wave.std(), [1.0, 0.0, 0.5])
+    lines = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    assert all(line.where.driver != WANDERS for line in lines)
+
+
 def test_two_speeds_are_two_lines() -> None:
     first = T < 150.0
     wave = np.sin(2.0 * np.pi * np.where(first, 12.0, 12.8) * T)
@@ -82,3 +97,20 @@ def test_a_steady_line_and_one_that_comes_and_goes_do_not_wander() -> None:
     assert line.effect == "vibration_tone"
     (line,) = found(0.1 * steady * (T % 60.0 < 36.0))
     assert line.where.driver == COMES_AND_GOES
+    (line,) = found(0.1 * np.sin(wandering(1, 13.1, 0.001)))
+    assert line.effect == "vibration_tone", "20 s do not tell its frequencies apart"
+
+
+def test_a_line_that_is_there_for_a_third_of_the_time_is_no_course_through_all_of_it() -> None:
+    wave = 0.1 * np.sin(wandering(1, 13.1, 0.03)) * (T < 100.0)
+    assert all(line.where.driver != WANDERS for line in found(wave))
+
+
+def test_both_sensors_hear_one_fan() -> None:
+    """What they hear of it has not the very same middle frequency."""
+    fan = replace(found(0.1 * np.sin(wandering(1, 13.1, 0.02)))[0], sensor="gyro")
+    (low, high), frequency = fan.where.band_hz, fan.parameters["frequency"]
+    other = replace(frequency, value=middle_hz(fan) + 0.3 * (high - low))
+    assert of_one_vibration(fan, replace(fan, parameters=fan.parameters | {"frequency": other}))
+    off = replace(frequency, value=middle_hz(fan) + 0.1 + 0.5 * (high - low))
+    assert not of_one_vibration(fan, replace(fan, parameters=fan.parameters | {"frequency": off}))
