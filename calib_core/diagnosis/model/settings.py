@@ -38,6 +38,9 @@ effect that is only roughly known (`Effect.rough`) may leave as much as it is ro
 PAIRS = 5
 """Named effects that are tried two together before structure is called unknown."""
 
+HIDDEN_SCORE = 1.0
+"""Score alone of an effect that is tried beside a second one which may hide it: ten to one for it."""
+
 WANDER_MIDDLE, WANDER_DECADES, WANDER_TAIL = 0.8, 1.5, 0.03
 """Prior of how much a bias' bins scatter by wander over white noise (log10 of variances): flicker floors of
 0.03 to 3 times the white noise of a second are what phones have; the tail is for those that do not."""

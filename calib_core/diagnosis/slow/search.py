@@ -175,11 +175,16 @@ def of_hidden_pair(
     """Return the better of two named effects that pass the threshold only beside each other, or None.
 
     To either of them the other one is noise that differs from rest to rest, large enough to hide it. Each of
-    the best few names is tried with the best second, which pays for the number of these.
+    the best few names, in its best form, is tried with the best second, which pays for the number of these.
     """
-    named = [s for s in ranked if s.hypothesis.effect.name != "unknown"][: thresholds.PAIRS]
+    likely = [s for s in ranked if s.score >= thresholds.HIDDEN_SCORE]
+    by_name = {s.hypothesis.effect.name: s for s in reversed(likely) if s.hypothesis.effect.name != "unknown"}
+    named = sorted(by_name.values(), key=lambda s: -s.score)[: thresholds.PAIRS]
     best, chosen = -np.inf, None
+    known: set[str] = set()
     for one in named:
+        if one.hypothesis.effect.name in known:
+            continue
         others = [e for e in effects if not _spent(e, one.hypothesis.effect)]
         beside = [*before, one.hypothesis]
         top, *rest = ranking(residuals, others, beside) or [one]
@@ -191,6 +196,7 @@ def of_hidden_pair(
         own = proposals(residuals, [one.hypothesis.effect])
         first = compete(residuals, own, [*before, second.hypothesis])[:1]
         if first and first[0].score >= threshold and first[0].score + second.score > best:
+            known = {one.hypothesis.effect.name, second.hypothesis.effect.name}
             best = first[0].score + second.score
             chosen = Step(first[0], tuple(s for s in ranked if s is not one))
     return chosen
