@@ -27,6 +27,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
     stated,
     told,
 )
+from stillcal.calib_core.diagnosis.noise.lines.pace import pace_of
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import (
     NEIGHBOURS,
     OWN,
@@ -73,10 +74,6 @@ USUAL = 0.98
 LOUDEST = 10.0
 LEAST_HALF, QUIET = 3.3, 2.83
 """QUIET: mean of the largest of nine powers with no line (1 + 1/2 + ... + 1/9)."""
-
-PACES = (0.6, 3.0)
-"""Hz of hearts and steps."""
-CONTRAST = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +160,7 @@ def _coherent(
         better = not same or (left.in_step(one) and all(_gain(one) > _gain(f) for f in same))
         left = CoherentSpectrum.of(places, left.seen.without(middle_hz(one), APART_HZ))
         whole = np.arange(len(seen.length), dtype=np.int64)
-        body = _pace(seen, whole, round(middle_hz(one) / float(seen.f[1]))) is not None
+        body = pace_of(seen, whole, round(middle_hz(one) / float(seen.f[1]))) is not None
         if better and not body:
             steady.append(one)
     every = [*steady, *(f for f in found if not any(_same(f, one) for one in steady))]
@@ -247,7 +244,7 @@ def _lines(
         lasting = _lasting(
             ratio[:, middle - 1 : middle + 2], left.share, never_by_chance(ratio[:, open_ones].size)
         )
-        pace = _pace(seen, lasting, middle)
+        pace = pace_of(seen, lasting, middle)
         line = _judged(sensor, left, lasting, middle) if pace is None else None
         if line is None:
             passed |= _of_one_cause(seen, middle, pace)
@@ -349,28 +346,3 @@ def _run(near: Array, mean: float) -> Index:
     last = int(np.argmax(gain - lowest))
     first = int(np.argmin(gain[: last + 1]))
     return np.arange(first, last, dtype=np.int64)
-
-
-def _pace(seen: Stretches, rows: Index, middle: int) -> float | None:
-    """Return the pace of a heart or of steps, in frequencies, that a line is an overtone of; None without.
-
-    Its lower neighbours stand at multiples of one pace.
-    """
-    if not rows.size:
-        return None
-    power = seen.power[rows].sum(axis=(0, 2))
-    step, line = float(seen.f[1]), float(power[middle - 1 : middle + 2].max())
-    for n in range(2, int(middle * step / PACES[0]) + 1):
-        pace = middle / n
-        if not PACES[0] <= pace * step <= PACES[1]:
-            continue
-        lower = [round(pace * (n - k)) for k in (1, 2) if n > k]
-        tops = [float(power[max(j - 2, 0) : j + 3].max()) for j in lower]
-        if all(p > 0.5 * line and p > CONTRAST * _about(power, j) for p, j in zip(tops, lower, strict=True)):
-            return pace
-    return None
-
-
-def _about(power: Array, k: int) -> float:
-    """Return the usual power about a frequency; power: (F,)."""
-    return float(np.median(power[max(k - 20, 1) : k + 21]))

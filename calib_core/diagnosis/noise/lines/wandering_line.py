@@ -25,6 +25,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
     never_by_chance,
     told,
 )
+from stillcal.calib_core.diagnosis.noise.lines.pace import pace_of
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import OWN, Stretches
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
@@ -72,7 +73,9 @@ def wandering_line(
     if track is None or not track.wanders(resolved_hz):
         return None
     about = _about(seen, track.rows, track.at, 20).sum(axis=0)
-    return _stated(sensor, seen, track) if narrow(about, 3 * track.rows.size) else None
+    if not narrow(about, 3 * track.rows.size) or pace_of(seen, track.rows, track.hz / seen.f[1]) is not None:
+        return None
+    return _stated(sensor, seen, track)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -84,6 +84,15 @@ def test_a_rest_of_half_an_hour_with_noise_of_a_narrow_band_is_no_fan() -> None:
     assert all(line.where.driver != WANDERS for line in lines)
 
 
+@pytest.mark.parametrize(("pace", "most"), [(2.7, 2), (2.8, 3)])
+def test_an_overtone_of_steps_whose_pace_wanders_is_none(pace: float, most: int) -> None:
+    """A phone on a treadmill, at 5.4 and 8.4 Hz; a fan at this frequency, without the lower ones, is told."""
+    phase = wandering(4, pace, 0.03)
+    whole = sum(np.sin(n * phase + n) for n in range(1, most + 1))
+    assert not found(0.05 * whole)
+    assert [line.where.driver for line in found(0.05 * np.sin(most * phase))] == [WANDERS]
+
+
 def test_two_speeds_are_two_lines() -> None:
     first = T < 150.0
     wave = np.sin(2.0 * np.pi * np.where(first, 12.0, 12.8) * T)
