@@ -93,6 +93,26 @@ def test_an_overtone_of_steps_whose_pace_wanders_is_none(pace: float, most: int)
     assert [line.where.driver for line in found(0.05 * np.sin(most * phase))] == [WANDERS]
 
 
+def test_what_is_far_louder_for_a_while_is_not_in_the_amplitude() -> None:
+    """A door that slams beside the fan: 15 s in which it shakes ten times as much."""
+    loud = np.where((T > 100.0) & (T < 115.0), 10.0, 1.0)
+    (line,) = found(0.05 * loud * np.sin(wandering(1, 13.1, 0.02)))
+    assert line.where.driver == WANDERS
+    assert np.allclose(line.parameters["amplitude"].value, [0.05, 0.0, 0.025], atol=0.0075)
+
+
+def test_a_line_is_followed_over_rests_that_are_hours_apart() -> None:
+    """It goes its way in each rest, and is anywhere in its range when the next one begins."""
+    rng = np.random.default_rng(5)
+    own = np.arange(0.0, 20.0, 1.0 / RATE)
+    t = np.concatenate([own + 3600.0 * k for k in range(15)])
+    begin = rng.permutation(np.linspace(11.0, 14.0, 15))
+    wave = np.concatenate([np.sin(2.0 * np.pi * (f * own + 0.005 * own**2)) for f in begin])
+    xyz = rng.normal([0.0, 0.0, 9.81], 0.02, (t.size, 3)) + 0.1 * np.outer(wave, [1.0, 0.0, 0.5])
+    (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    assert line.where.driver == WANDERS
+
+
 def test_two_speeds_are_two_lines() -> None:
     first = T < 150.0
     wave = np.sin(2.0 * np.pi * np.where(first, 12.0, 12.8) * T)
