@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.effects.catalogue import effects_in
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_in, named_effects
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature, ScaleTemperature
+from stillcal.calib_core.diagnosis.effects.unknown import unknown_effects
 from stillcal.calib_core.diagnosis.inference.reduction import Reduced
 from stillcal.calib_core.diagnosis.model import settings as thresholds
-from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
+from stillcal.calib_core.diagnosis.model.effect import Effect
+from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.slow import search
 from tests.calib_core.diagnosis.slow.test_findings import day_of
@@ -81,3 +85,28 @@ def test_two_effects_that_hide_each_other_are_found_together() -> None:
     assert search.ranking(residuals, effects)[0].score < thresholds.SCORE
     found = {s.winner.hypothesis.effect.name for s in search.forward(residuals, effects)}
     assert found == {"accel_nonlinearity", "accel_bias_step"}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "named", "stated"),
+    [(9.0, 9.0, True, True), (9.0, 4.2, True, False), (3.9, 9.0, True, False), (9.0, 9.0, False, False)],
+)
+def test_either_of_a_pair_has_a_name_and_passes_beside_the_other(
+    monkeypatch: pytest.MonkeyPatch, first: float, second: float, named: bool, stated: bool
+) -> None:
+    """The second was chosen beside each of three, which it pays for: a score of 4.2 is below 4 + log10(3)."""
+
+    def scored(effect: Effect, score: float) -> search.Scored:
+        nothing: Any = None
+        return search.Scored(Hypothesis(effect, {}, ()), nothing, score, score)
+
+    names = {e.name: e for e in named_effects() if e.sensor == "accel"}
+    one, *others = names.values()
+    ranked = [scored(effect, 3.0) for effect in (one, *others[:2])]
+    beside = others[2] if named else unknown_effects("accel")[0]
+    monkeypatch.setattr(search, "ranking", lambda *_: [scored(beside, second)])
+    monkeypatch.setattr(search, "proposals", lambda *_: [])
+    monkeypatch.setattr(search, "compete", lambda *_: [scored(one, first)])
+    nothing: Any = None
+    found = search.of_hidden_pair(nothing, ranked, [beside], [], thresholds.SCORE)
+    assert (found is not None) == stated
