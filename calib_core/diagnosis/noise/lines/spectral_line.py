@@ -61,7 +61,8 @@ APART_HZ = NEAR / SHORT
 
 LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 69.0
-"""Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far."""
+"""Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far. None that
+wanders is told there, as a hand's tremor does."""
 
 STACK_P = 1e-3
 """Chance of what stands out, anywhere, in many stretches together; `stated` judges it."""
@@ -120,7 +121,7 @@ def tones(
 
 def _with_wandering(lines: list[Finding], brief: Stretches | None, sensor: str, rate: float) -> list[Finding]:
     """Return the lines with one that wanders, if there is one, in the place of those it was taken for."""
-    wandering = wandering_line(sensor, brief, LEAST_LINE_HZ, 1.0 / SHORT)
+    wandering = wandering_line(sensor, brief, BODY_HZ, 1.0 / SHORT)
     return lines if wandering is None else [wandering, *without_its_parts(lines, wandering, rate)]
 
 
