@@ -140,9 +140,9 @@ def _size(values: Array, used: NDArray[np.bool_]) -> Array:
 def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     """Find noise at rest that follows the count of the samples, by its size or by its values."""
     size = noise.lines_of_size()
-    period, batched = batch([size], tones=True)
+    period, batched = batch([size], tones=1)
     beat, single = _beat(size, noise)
-    other, offset = batch(noise.lines_of_values(), tones=True)
+    other, offset = batch(noise.lines_of_values(), tones=max(len(noise.vibrations), 1))
     nats, length, say = max(
         (
             batched,
@@ -160,20 +160,21 @@ def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=told, seen=seen)
 
 
-def batch(series: Sequence[Array], *, tones: bool = False) -> tuple[int, float]:
+def batch(series: Sequence[Array], *, tones: int = 0) -> tuple[int, float]:
     """Return the likeliest size of a batch and nats for it, all its overtones taken together (Fisher).
 
-    series: of lines, as `lines` has them. tones: whether a series may have a line by itself, which is no
-    batch: a weak vibration gives values one, and their size one at twice its frequency. The clearest of each
-    is then left out, and two at least must be left.
+    series: of lines, as `lines` has them. tones: how many lines a series may have by itself, which are no
+    batch: a weak vibration gives values one, and their size one at twice its frequency. So many of the
+    clearest of each are then left out, a third of all at most, and two at least must be left.
     """
     best, n = (2, 0.0), 2 * (series[0].size - 1)
     for period in range(3, LARGEST + 1):
         at = np.rint(np.arange(1, (period - 1) // 2 + 1) * (n / period)).astype(np.int64)
         at = at[(at > SLOWEST * n) & (at < series[0].size - ASIDE)]
-        count = len(series) * (at.size - tones)
-        if at.size > 2 * tones:
-            told = sum(float(line[at].sum()) - tones * float(line[at].max()) for line in series)
+        left = at.size - min(tones, max(at.size // 3, 1))
+        count = len(series) * left
+        if left > (1 if tones else 0):
+            told = sum(float(np.sort(line[at])[:left].sum()) for line in series)
             nats = of_chance(float(log_tail(2.0 * told, 2 * count)), LARGEST)
             best = max(best, (period, nats), key=lambda x: x[1])
     return best

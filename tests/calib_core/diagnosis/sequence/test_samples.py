@@ -254,6 +254,16 @@ def test_a_loud_vibration_does_not_follow_the_count(frequency: float, amplitude:
     assert by_count(Samples.checked(Sensor.ACCELEROMETER, t, xyz), "accel", noise) is None
 
 
+def test_two_vibrations_of_whole_hz_do_not_follow_the_count() -> None:
+    """Of 11 and 17 Hz at 50 Hz every second has the same samples: both are overtones of a batch of 50."""
+    t = np.arange(45_000) / 50.0
+    xyz = np.random.default_rng(7).normal(0.0, 0.02, (t.size, 3))
+    xyz[:, 2] += 0.03 * np.sin(2.0 * np.pi * 11.0 * t) + 0.02 * np.sin(2.0 * np.pi * 17.0 * t)
+    noise = Noise.of(xyz, np.arange(t.size) % 1875 > 150, (11.0 / 50.0, 17.0 / 50.0))
+    assert noise is not None
+    assert by_count(Samples.checked(Sensor.ACCELEROMETER, t, xyz), "accel", noise) is None
+
+
 @pytest.mark.parametrize("ratio", [1.04, 1.23])
 def test_a_sensor_resampled_by_interpolation_beats(ratio: float) -> None:
     codes = turning(3, 8.0)
@@ -269,9 +279,9 @@ def test_one_overtone_alone_is_no_batch() -> None:
     size = np.random.default_rng(9).exponential(size=13_001)
     overtones = np.rint(np.arange(1, 6) * 26_000 / 11).astype(int)
     size[overtones[2]] = 30.0
-    assert batch([size])[1] > 5.0 > batch([size], tones=True)[1]
+    assert batch([size])[1] > 5.0 > batch([size], tones=1)[1]
     size[overtones] = 8.0
-    period, nats = batch([size], tones=True)
+    period, nats = batch([size], tones=1)
     assert period == 11 and nats > 10.0
 
 
