@@ -88,11 +88,16 @@ def correct(
     return Corrected(replace(held, overview=overview), corrected.left_out)
 
 
-def with_echoes(found: Sequence[Discrepancy], compared: Sequence[Difference] = ()) -> list[Discrepancy]:
+def with_echoes(
+    simulation: Recording, found: Sequence[Discrepancy], compared: Sequence[Difference] = ()
+) -> list[Discrepancy]:
     """Return differences, also the part of another sensor in a vibration that only the recording has.
 
-    compared: what both have; a sensor whose part of this vibration is among them has its own.
+    compared: what both have; a sensor whose part of this vibration is among them has its own. A simulation
+    without a gyroscope has no part of it.
     """
+    if simulation.gyroscope is None:
+        return list(found)
     own = [d.recorded for d in compared if d.recorded.effect == LINE]
     lines = [(d, echo) for d in found if (line := _new_line(d)) is not None for echo in line.echoes]
     new = ((d, e) for d, e in lines if not any(_is_part(one, e) for one in own))

@@ -146,7 +146,7 @@ def _added(recording: Recording, simulation: Recording, before: Comparison) -> C
         for d in before.compared
         if d.simulated.effect in ("accel_bias", "gyro_bias")
     }
-    found = with_echoes(before.discrepancies, before.compared)
+    found = with_echoes(simulation, before.discrepancies, before.compared)
     return correct(simulation, found, biases, span=span_of(recording.accelerometer))
 
 

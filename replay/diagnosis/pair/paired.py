@@ -127,7 +127,7 @@ def _corrected(
     recorded, simulated = pair.exams
     moved = {(s.finding.effect, s.finding.sensor) for s in motion.found}
     in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
-    played = [*with_echoes(pair.values.discrepancies, pair.values.compared), *in_motion]
+    played = [*with_echoes(pair.simulation, pair.values.discrepancies, pair.values.compared), *in_motion]
     made = correct(pair.simulation, played, {})
     own, other = without_held_rows(pair.recording, made.recording)
     left = align(readings_of(own), readings_of(other), known)

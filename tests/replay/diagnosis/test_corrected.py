@@ -212,7 +212,8 @@ def test_what_the_gyroscope_has_of_a_vibration_is_put_in_with_it_unless_it_has_i
     size = {"amplitude": Parameter([0.0, 0.003, 0.0], None, "rad/s")}
     echo = replace(felt.recorded, sensor="gyro", axes=["y"], parameters=felt.recorded.parameters | size)
     one = replace(felt, recorded=replace(felt.recorded, echoes=(echo,)))
-    done = correct(Recording(*still, [], Claims(), []), with_echoes([one]), {}).recording
+    simulation = Recording(*still, [], Claims(), [])
+    done = correct(simulation, with_echoes(simulation, [one]), {}).recording
     assert done.gyroscope is not None
     spread = np.std(done.gyroscope.xyz, axis=0)
     assert spread == pytest.approx(np.array([0.0, 0.003, 0.0]) / np.sqrt(2.0), rel=0.01)
@@ -220,9 +221,12 @@ def test_what_the_gyroscope_has_of_a_vibration_is_put_in_with_it_unless_it_has_i
     own = Quantity(
         "vibration_tone", "gyro", (), none, np.zeros((0, 0)), none, none, axis_of, where=echo.where
     )
-    assert with_echoes([one], [subtract(own, own)]) == [one]
+    assert with_echoes(simulation, [one], [subtract(own, own)]) == [one]
     other = replace(own, where=replace(echo.where, band_hz=(11.9, 12.1)))
-    assert len(with_echoes([one], [subtract(other, other)])) == 2, "another vibration of it is not this one"
+    assert with_echoes(replace(simulation, gyroscope=None), [one]) == [one]
+    assert len(with_echoes(simulation, [one], [subtract(other, other)])) == 2, (
+        "another vibration of it is not this one"
+    )
 
 
 def test_a_vibration_for_a_while_is_in_the_same_part_of_the_simulation() -> None:
