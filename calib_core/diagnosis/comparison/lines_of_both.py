@@ -66,7 +66,7 @@ def beside_steady(one: Finding, other: Finding, names: Sequence[str], of_recordi
     return replace(one, remark=" ".join(filter(None, (one.remark, also)))), of_recording
 
 
-def with_echoes(
+def with_lines_heard(
     sides: tuple[list[Finding], list[Finding]], exams: tuple[Examination, Examination]
 ) -> tuple[list[Finding], list[Finding]]:
     """Return what both state, also the gyroscope's lines that are told with the accelerometer's of both.

@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.comparison.lines_of_both import (
     beside_steady,
     not_as_large,
     unlike,
-    with_echoes,
+    with_lines_heard,
 )
 from stillcal.calib_core.diagnosis.comparison.noise import white_noise
 from stillcal.calib_core.diagnosis.comparison.quantity import (
@@ -112,7 +112,7 @@ def differences_of_samples(
     Returned are differences of what both have; what one alone has, and whether it is the recording; what the
     other could not show, or was found by its driver.
     """
-    sides = with_echoes((direct_statements(exams[0]), direct_statements(exams[1])), exams)
+    sides = with_lines_heard((direct_statements(exams[0]), direct_statements(exams[1])), exams)
     lines = (LinesOf(exams[0]), LinesOf(exams[1]))
     both: list[Difference] = []
     sole: list[Sole] = []

@@ -244,9 +244,8 @@ class _Grid:
         own = (fold[:, None] == np.unique(fold)).astype(np.float64)
         steady, changing = [], []
         for scatter, floor in product(SCATTERS, FLOORS):
-            there, gone, stray = self._densities(scatter, floor)
+            there, gone, stray, both = self._densities(scatter, floor)
             steady += [np.log(there + stray) @ own, np.log(np.where(inside, there, gone) + stray) @ own]
-            both = SHARES * there + (1.0 - SHARES) * gone + stray
             changing.append((np.log(both) @ own).reshape(-1, own.shape[1]))
         return np.concatenate(steady), np.concatenate(changing)
 
@@ -256,16 +255,19 @@ class _Grid:
         of_each = weight.reshape(-1, PARTS, LEVELS, 1)
         for of_one, (scatter, floor) in zip(of_each, product(SCATTERS, FLOORS), strict=True):
             if of_one.sum() > SMALL:
-                there, gone, stray = self._densities(scatter, floor)
-                both = SHARES * there + (1.0 - SHARES) * gone + stray
+                there, _, _, both = self._densities(scatter, floor)
                 chance += (of_one * SHARES * there / both).sum(axis=(0, 1))
         return chance
 
-    def _densities(self, scatter: float, floor: float) -> tuple[Array, Array, Array]:
-        """Return the densities (L, n) of a line that is there, (n,) of none, and (n,) of anything."""
+    def _densities(self, scatter: float, floor: float) -> tuple[Array, Array, Array, Array]:
+        """Return the densities (L, n) of a line that is there, (n,) of none, and (n,) of anything.
+
+        The last ones are those (PARTS, L, n) of a line that comes and goes, for each part of the time.
+        """
         there = (1.0 - STRAY) * _there(self.s, self.levels[:, None] * self.louder, scatter, floor)
         stray = STRAY / (np.maximum(self.s, 1e-12) * STRAY_RANGE)
-        return there, (1.0 - STRAY) * _gone(self.s, floor), stray
+        gone = (1.0 - STRAY) * _gone(self.s, floor)
+        return there, gone, stray, SHARES * there + (1.0 - SHARES) * gone + stray
 
 
 def _there(s: Array, level: Array, scatter: float, floor: float) -> Array:

@@ -29,6 +29,9 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.maths.rms import rms
 
+LOUDEST = 10.0
+"""Ratio to the neighbours that counts at most, so that no few stretches make a line."""
+
 LINE_P = 1e-5
 """Chance of what stands out anywhere in single stretches; `stated` judges it."""
 
@@ -100,14 +103,17 @@ def axes_alike(nats: Array) -> float:
     return 1.0 + 2.0 / 3.0 * float(np.maximum((apart.T @ apart)[np.triu_indices(3, 1)], 0.0).sum())
 
 
-def profile(seen: Stretches, rows: Index, middle: int) -> Array:
+def profile(seen: Stretches, rows: Index, middle: Index | int) -> Array:
     """Return the power (41,) about a line, summed over stretches, in steps of what each one tells apart."""
-    return np.asarray(_powers(seen, rows, middle, np.arange(-20, 21)).sum(axis=(0, 2)))
+    return np.asarray(powers_about(seen, rows, middle, np.arange(-20, 21)).sum(axis=(0, 2)))
 
 
-def _powers(seen: Stretches, rows: Index, middle: int, steps: Index) -> Array:
-    """Return the powers (rows, n, 3) so many steps (n,) from a line, in what each stretch tells apart."""
-    at = middle + np.round(np.outer(seen.wider[rows], steps)).astype(np.int64)
+def powers_about(seen: Stretches, rows: Index, middle: Index | int, steps: Index) -> Array:
+    """Return the powers (rows, n, 3) so many steps (n,) from a line, in what each stretch tells apart.
+
+    middle: the line's place in all of these stretches, or (rows,) in each.
+    """
+    at = np.asarray(middle)[..., None] + np.round(np.outer(seen.wider[rows], steps)).astype(np.int64)
     return np.asarray(seen.power[rows[:, None], np.clip(at, 0, seen.f.size - 1)])
 
 
@@ -117,14 +123,14 @@ def _noise(seen: Stretches, rows: Index, middle: int) -> Array:
     Of the two sides the one counts that is louder in all stretches together: at the edge of a band in which
     something shakes, or where a line that wanders turns, the mean of both is half of what is on one.
     """
-    sides = np.stack([_powers(seen, rows, middle, sign * BESIDE).mean(axis=1) for sign in (-1, 1)])
+    sides = np.stack([powers_about(seen, rows, middle, sign * BESIDE).mean(axis=1) for sign in (-1, 1)])
     total = sides.sum(axis=1)
     return np.asarray(sides.mean(axis=0) * (total.max(axis=0) / np.maximum(total.mean(axis=0), 1e-300)))
 
 
 def _beside(seen: Stretches, rows: Index, middle: int) -> Array:
     """Return the powers (n, 3) of a line's neighbours, each over their mean in its stretch, as nats."""
-    power = _powers(seen, rows, middle, np.concatenate([-BESIDE, BESIDE]))
+    power = powers_about(seen, rows, middle, np.concatenate([-BESIDE, BESIDE]))
     return told(power / np.maximum(power.mean(axis=1, keepdims=True), 1e-300)).reshape(-1, 3)
 
 
@@ -173,8 +179,8 @@ def _left_out(values: Sequence[float]) -> float:
 def _in_step(seen: Stretches, rows: Index, near: float, error: float) -> tuple[float, float]:
     """Return frequency and standard error of a line, by its phase from stretch to stretch where it keeps one.
 
-    Both stay as they are where too many frequencies would have to be tried.
-    near, error: Hz, as single stretches tell it, and as it stays for a line that loses its phase.
+    near, error: Hz, as single stretches tell it, and as it stays for a line that loses its phase, and where
+    too many frequencies would have to be tried.
     """
     line, middle = _amplitudes(seen, rows, near)[:, 0], seen.span[rows].mean(axis=1)
     step = 1.0 / float(seen.span[rows[-1], 1] - seen.span[rows[0], 0])

@@ -21,6 +21,7 @@ from stillcal.calib_core.diagnosis.noise.lines.harmonics import with_harmonics
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import named_if_steady
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
+    LOUDEST,
     narrow,
     never_by_chance,
     profile,
@@ -72,7 +73,6 @@ LEAST_STRETCHES = 4.5
 LEAST_STACK = 10
 USUAL = 0.98
 """Quantile of all lines that tells how much larger than a flat spectrum's they come out here."""
-LOUDEST = 10.0
 LEAST_HALF, QUIET = 3.3, 2.83
 """QUIET: mean of the largest of nine powers with no line (1 + 1/2 + ... + 1/9)."""
 
@@ -97,6 +97,11 @@ class AtRest:
         seen = self.short or stretches(self.places, self.sensor, BRIEF)
         return None if self.places is None or seen is None else CoherentSpectrum.of(self.places, seen)
 
+    @cached_property
+    def moments(self) -> Stretches | None:
+        """Their stretches of `MOMENT`, None for too few."""
+        return stretches(self.places, self.sensor, MOMENT)
+
 
 def tones(
     samples: Samples, sensor: str, rests: AtRest | None = None, most: int = MOST_LINES
@@ -107,21 +112,21 @@ def tones(
     """
     rests = rests or AtRest.of(samples, sensor)
     places = rests.places
-    found, more = _of_any_length(places, sensor, rests.short, most)
-    steady = [] if places is None else _coherent(places, sensor, rests.coherent, found, most)
-    clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
-    lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
     if places is None:
         return []
+    found, more = _of_any_length(rests, most)
+    steady = _coherent(places, sensor, rests.coherent, found, most)
+    clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
+    lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
     rate = 1.0 / places.period
     if lines or more:
-        lines = _with_wandering(lines, stretches(places, sensor, MOMENT), sensor, rate)
+        lines = _with_wandering(lines, rests.moments, sensor, rate)
     return with_harmonics(sorted(lines, key=lambda f: -_nats(f))[:most], rate)
 
 
-def _with_wandering(lines: list[Finding], brief: Stretches | None, sensor: str, rate: float) -> list[Finding]:
+def _with_wandering(lines: list[Finding], seen: Stretches | None, sensor: str, rate: float) -> list[Finding]:
     """Return the lines with one that wanders, if there is one, in the place of those it was taken for."""
-    wandering = wandering_line(sensor, brief, BODY_HZ, 1.0 / SHORT)
+    wandering = wandering_line(sensor, seen, BODY_HZ, 1.0 / SHORT)
     return lines if wandering is None else [wandering, *without_its_parts(lines, wandering, rate)]
 
 
@@ -193,10 +198,9 @@ def _size(line: Finding) -> float:
     return float(np.linalg.norm(line.parameters["amplitude"].value))
 
 
-def _of_any_length(
-    places: Places | None, sensor: str, short: Stretches | None, most: int
-) -> tuple[list[Finding], bool]:
+def _of_any_length(rests: AtRest, most: int) -> tuple[list[Finding], bool]:
     """Return lines of long, short and brief stretches, and whether short ones show more."""
+    places, sensor, short = rests.places, rests.sensor, rests.short
     found, more = _lines(sensor, short, (), most)
     plain = [f for f in found if _nats(f) > PLAIN]
     if len(plain) == most:
@@ -207,7 +211,7 @@ def _of_any_length(
     if not lines and (short is None or float(short.share.sum()) < LEAST_STACK):
         return _lines(sensor, stretches(places, sensor, BRIEF), (), most)
     if short is not None and more and len(lines) < most:
-        brief, _ = _lines(sensor, stretches(places, sensor, MOMENT), lines, most)
+        brief, _ = _lines(sensor, rests.moments, lines, most)
         lines += [f for f in brief if _narrow(short, f)]
     return lines, more
 

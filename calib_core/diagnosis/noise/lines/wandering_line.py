@@ -20,9 +20,13 @@ from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
 from stillcal.calib_core.diagnosis.noise.lines.line import WANDERS, amplitude_of, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
     AS_GIVEN,
+    LOUDEST,
+    SIGNIFICANT,
     evidence_of,
     narrow,
     never_by_chance,
+    powers_about,
+    profile,
     told,
 )
 from stillcal.calib_core.diagnosis.noise.lines.pace import pace_of
@@ -31,10 +35,6 @@ from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
 REACH = 3
 """Frequencies that a line may move from one stretch to the next, half a stretch later: 0.25 Hz a second."""
-
-LOUDEST = 10.0
-"""Ratio to the neighbours that counts at most, so that no few stretches make the path; a stretch with more
-has the line. By chance 1 in 1000 has, at the best of the places in reach."""
 
 LEAST_PART = 0.5
 """Part of the stretches, at least, that show the line by themselves."""
@@ -72,7 +72,7 @@ def wandering_line(
     track = _track(seen, above_hz)
     if track is None or not track.wanders(resolved_hz):
         return None
-    about = _about(seen, track.rows, track.at, 20).sum(axis=0)
+    about = profile(seen, track.rows, track.at)
     if not narrow(about, 3 * track.rows.size) or pace_of(seen, track.rows, track.hz / seen.f[1]) is not None:
         return None
     return _stated(sensor, seen, track)
@@ -122,7 +122,7 @@ def _track(seen: Stretches, above_hz: float) -> _Track | None:
     shown = clearest > never_by_chance(ratio[:, open_ones].size)
     if seen.share[shown].sum() < LEAST_PART * seen.share.sum():
         return None
-    rows = np.flatnonzero(clearest > LOUDEST)
+    rows = np.flatnonzero(clearest > LOUDEST)  # by chance 1 in 1000, at the best of the places in reach
     at = _top(seen, rows, path[rows])
     power = _about(seen, rows, at, 2).sum(axis=1)
     as_loud = np.abs(np.log(power / np.median(power))) < np.log(AS_LOUD)
@@ -142,8 +142,7 @@ def _top(seen: Stretches, rows: Index, at: Index) -> Index:
 
 def _about(seen: Stretches, rows: Index, at: Index, reach: int) -> Array:
     """Return the power (n, 2 reach + 1) of all axes about the places of a line."""
-    near = np.clip(at[:, None] + np.arange(-reach, reach + 1), 0, seen.f.size - 1)
-    return np.asarray(seen.power[rows[:, None], near].sum(axis=2))
+    return np.asarray(powers_about(seen, rows, at, np.arange(-reach, reach + 1)).sum(axis=2))
 
 
 def _reach(seen: Stretches) -> Index:
@@ -173,8 +172,7 @@ def _path(nats: Array, reach: Index) -> Index | None:
 
 def _between(seen: Stretches, rows: Index, at: Index) -> Array:
     """Return the frequency (n,) of a line between those of the spectrum: a parabola through three logs."""
-    power = np.log(np.maximum(seen.power.sum(axis=2), 1e-300))
-    a, b, c = (power[rows, np.clip(at + k, 0, seen.f.size - 1)] for k in (-1, 0, 1))
+    a, b, c = np.log(np.maximum(_about(seen, rows, at, 1), 1e-300)).T
     bend = np.minimum(a - 2.0 * b + c, -1e-12)
     return np.asarray((at + np.clip(0.5 * (a - c) / bend, -0.5, 0.5)) * float(seen.f[1]))
 
@@ -187,7 +185,7 @@ def _stated(sensor: str, seen: Stretches, track: _Track) -> Finding | None:
     spread = line.std(axis=0) / np.sqrt(len(line) / 2.0)  # stretches overlap by half
     amplitude, error = amplitude_of((line - noise).mean(axis=0), spread)
     error = error + AS_GIVEN * amplitude
-    axes = [a for a in range(3) if amplitude[a] > 3.0 * error[a]] or [int(np.argmax(amplitude))]
+    axes = [a for a in range(3) if amplitude[a] > SIGNIFICANT * error[a]] or [int(np.argmax(amplitude))]
     evidence = evidence_of(track.ratio, line, float(seen.f.size))
     choices = len(line) * float(np.log(2 * REACH + 1))
     evidence = replace(evidence, log_bayes_factor=evidence.log_bayes_factor - choices)
