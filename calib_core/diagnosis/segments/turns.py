@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, measured_evenly
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.robust import means
 from stillcal.calib_core.streams.samples import Samples
@@ -52,14 +53,16 @@ def as_read(samples: Samples) -> Array:
 def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf, rates: Rates = as_read) -> list[Cut]:
     """Cut the turns between successive rests, each less the bias that its neighbourhood tells best.
 
-    Turns in which a rate as read comes near `limit` (rad/s), where the sensor stops, are left out.
+    Turns in which a rate as read comes near `limit` (rad/s), where the sensor stops, are left out. Stamps in
+    bursts say when samples were delivered: those of a turn count as measured at equal intervals.
     """
     if bins.rate is None:
         return []
     bias = _local_bias(bins.rate)
     last = np.flatnonzero(np.diff(bins.rest) > 0)
     found = [_cut(gyroscope, bins, bias, int(i), rates) for i in last]
-    return [c for c in found if c is not None and _fastest(gyroscope, c, bias) < SHORT_OF * limit]
+    clear = [c for c in found if c is not None and _fastest(gyroscope, c, bias) < SHORT_OF * limit]
+    return [replace(c, t=measured_evenly(c.t)) for c in clear] if bunched(gyroscope.t) else clear
 
 
 def _fastest(gyroscope: Samples, cut: Cut, bias: Array) -> float:

@@ -9,7 +9,7 @@ from stillcal.calib_core.diagnosis.comparison.sample_rate import rate as rate_of
 from stillcal.calib_core.diagnosis.direct.quantities import of_stamps
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, measured_evenly, sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -30,6 +30,23 @@ def test_stamps_in_bursts_have_the_rate_of_samples_over_time() -> None:
     t = in_bursts()
     assert np.median(np.diff(t)) < 0.003, "the usual interval is the host's"
     assert bunched(t) and sample_period(t) == pytest.approx(0.01, rel=0.01)
+
+
+def test_samples_of_bursts_count_as_measured_at_equal_intervals() -> None:
+    """Packets of six at 50 Hz come late by chance, and two packets are lost."""
+    rng = np.random.default_rng(8)
+    packet = np.repeat(np.arange(80), 6)
+    t = (6 * packet + 5) / 50.0 + rng.exponential(0.012, 80)[packet] + 1e-4 * (np.arange(480) % 6)
+    kept = ~np.isin(packet, (20, 55))
+    assert bunched(t[kept])
+    for rows in (kept, np.ones(480, dtype=bool)):
+        off = measured_evenly(t[rows]) - np.arange(480)[rows] / 50.0
+        assert np.ptp(off) < 0.01, "as delivered, it is 0.1 s"
+
+
+def test_samples_of_bursts_of_any_size_count_as_measured_at_equal_intervals() -> None:
+    t = in_bursts()[:1000]
+    assert np.ptp(measured_evenly(t) - np.arange(1000) / 100.0) < 0.005
 
 
 @pytest.mark.parametrize(("rounded", "heel"), [(1e-3, 0.001), (1e-3, 0.002), (1e-4, 2e-4)])

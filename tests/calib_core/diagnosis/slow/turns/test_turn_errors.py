@@ -54,6 +54,17 @@ def test_coarse_samples_of_quick_turns_are_allowed_for() -> None:
     assert found(force, spin[::12]) is None
 
 
+def test_turns_whose_samples_came_in_packets_are_silent() -> None:
+    """Samples have the stamp of their packet of six, which comes late by chance; one in fifty is lost."""
+    rng = np.random.default_rng(7)
+    force, spin = scaled(np.zeros(40))
+    packet = np.arange(spin.t.size) // 6
+    late = rng.exponential(0.012, packet[-1] + 1)[packet]
+    stamps = spin.t[np.minimum(6 * packet + 5, spin.t.size - 1)] + late + 1e-4 * (np.arange(packet.size) % 6)
+    kept = (rng.random(packet[-1] + 1) > 0.02)[packet]
+    assert found(force, Samples.checked(spin.sensor, stamps[kept], spin.xyz[kept])) is None
+
+
 def test_the_diagnosis_states_it() -> None:
     gain = 0.1 * np.random.default_rng(5).normal(size=40)
     stated = diagnose(*(sensor.between(0.0, 430.0) for sensor in scaled(gain))).findings
