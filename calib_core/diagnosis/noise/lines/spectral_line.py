@@ -62,8 +62,8 @@ APART_HZ = NEAR / SHORT
 
 LEAST_LINE_HZ = 4.0
 BODY_HZ, SURE = 6.0, 69.0
-"""Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far. None that
-wanders is told there, as a hand's tremor does."""
+"""Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far. None is
+told there whose frequency wanders, as a hand's tremor does, mostly below."""
 
 STACK_P = 1e-3
 """Chance of what stands out, anywhere, in many stretches together; `stated` judges it."""
@@ -125,9 +125,20 @@ def tones(
 
 
 def _with_wandering(lines: list[Finding], seen: Stretches | None, sensor: str, rate: float) -> list[Finding]:
-    """Return the lines with one that wanders, if there is one, in the place of those it was taken for."""
-    wandering = wandering_line(sensor, seen, BODY_HZ, 1.0 / SHORT)
-    return lines if wandering is None else [wandering, *without_its_parts(lines, wandering, rate)]
+    """Return the lines with one that wanders, if there is one, in the place of those it was taken for.
+
+    One of a body is not told, and neither are its parts; another one may wander above it.
+    """
+    body: Finding | None = None
+    for above_hz in (LEAST_LINE_HZ, BODY_HZ):
+        wandering = wandering_line(sensor, seen, above_hz, 1.0 / SHORT)
+        if wandering is None or (body is not None and not without_its_parts([wandering], body, rate)):
+            continue
+        lines = without_its_parts(lines, wandering, rate)
+        if middle_hz(wandering) > BODY_HZ:
+            return [wandering, *lines]
+        body = wandering
+    return lines
 
 
 def _same(one: Finding, other: Finding) -> bool:

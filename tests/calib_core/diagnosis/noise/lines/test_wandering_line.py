@@ -135,8 +135,23 @@ def test_a_line_that_is_there_for_a_third_of_the_time_is_no_course_through_all_o
     assert all(line.where.driver != WANDERS for line in found(wave))
 
 
-def test_a_tremor_of_5_hz_is_no_vibration_that_wanders() -> None:
-    assert all(line.where.driver != WANDERS for line in found(0.1 * np.sin(wandering(1, 5.1, 0.05))))
+@pytest.mark.parametrize("part", [0.02, 0.05])
+def test_a_tremor_of_5_hz_is_no_vibration(part: float) -> None:
+    """Neither one that wanders nor a steady one, of 0.07 m/s^2 at the frequency where it is for longest."""
+    assert not found(0.1 * np.sin(wandering(1, 5.1, part)))
+
+
+@pytest.mark.parametrize(("seed", "middle", "told"), [(2, 6.2, 1), (1, 5.8, 0)])
+def test_a_fan_about_6_hz_is_told_with_all_of_its_range_or_not_at_all(
+    seed: int, middle: float, told: int
+) -> None:
+    """Followed above 6 Hz alone, both were said not to go below 5.8 Hz."""
+    phase = wandering(seed, middle, 0.1)
+    lines = found(0.1 * np.sin(phase))
+    assert len(lines) == told
+    for line in lines:
+        low, high = np.quantile(np.diff(phase) * RATE / (2.0 * np.pi), [0.025, 0.975])
+        assert line.where.band_hz == pytest.approx((low, high), abs=0.05)
 
 
 def test_both_sensors_hear_one_fan() -> None:
