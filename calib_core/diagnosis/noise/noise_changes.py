@@ -38,7 +38,7 @@ NINE_IN_TEN = 1.645
 WHITE = 0.25
 BANDS = 6
 KNOTS = 4
-"""Places, evenly spaced in rank, between which the level's course with temperature is straight."""
+"""Places between which the level is straight over temperature, evenly spaced in rank or in kelvin."""
 
 LEAST_RESTS = 10
 """Rests whose level by force is looked at: three numbers are fitted."""
@@ -178,15 +178,16 @@ def _courses(level: Array, t: Array, bins: Bins, own: Index) -> list[LevelModel]
     span = (float(t[first]), float(t[last]))
     made = [LevelModel("time", np.stack([np.ones(n), inside], axis=1), span, 0.5 * n * n)]
     if bins.temperature is not None and np.ptp(bins.temperature[own]) > LEAST_RANGE:
-        made.append(LevelModel("temperature", _hats(bins.temperature[own]), whole, 3.0))
+        warm, places = bins.temperature[own], np.linspace(0.0, 1.0, KNOTS)
+        for knots in (np.quantile(warm, places), warm.min() + np.ptp(warm) * places):
+            made.append(LevelModel("temperature", _hats(warm, np.unique(knots)), whole, 6.0))
     if bins.charging is not None:
         made.append(LevelModel("charging", np.stack([np.ones(n), bins.charging[own]], axis=1), whole, 3.0))
     return made
 
 
-def _hats(x: Array) -> Array:
-    """Return the design (n, k) of a curve that is straight between knots at even ranks of x (n,)."""
-    knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, KNOTS)))
+def _hats(x: Array, knots: Array) -> Array:
+    """Return the design (n, k) of a curve over x (n,) that is straight between knots (k,)."""
     return np.stack([np.interp(x, knots, row) for row in np.eye(knots.size)], axis=1)
 
 

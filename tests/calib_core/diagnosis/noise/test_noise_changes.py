@@ -33,13 +33,13 @@ def forces() -> Array:
     return np.asarray(9.81 * (up / np.linalg.norm(up, axis=1, keepdims=True))[REST])
 
 
-def found(white: Array) -> Finding | None:
+def found(white: Array, warm: Array = WARM) -> Finding | None:
     """Diagnose the accelerometer: the rests, apart by turns of 3 s, and white noise (n, 3)."""
     rng = np.random.default_rng(3)
     force = forces()
     moved = ((T % 80.0) < 3.0)[:, None]
     force = force + moved * rng.normal(0.0, 2.0, force.shape)
-    accel = Samples.checked(Sensor.ACCELEROMETER, T, force + white, WARM, None)
+    accel = Samples.checked(Sensor.ACCELEROMETER, T, force + white, warm, None)
     gyro = Samples.checked(
         Sensor.GYROSCOPE, T, rng.normal(0.0, 1e-3, force.shape) + moved * rng.normal(0.0, 1.0, force.shape)
     )
@@ -66,6 +66,14 @@ def test_noise_that_follows_temperature(slope: float) -> None:
     seen = found(noise(1) * np.exp(slope * (WARM - 25.0))[:, None])
     assert seen is not None and seen.where.driver == "temperature" and seen.axes == ["x", "y", "z"]
     assert seen.parameters["ratio"].value == pytest.approx(np.exp(slope * np.ptp(WARM)), rel=0.1)
+
+
+def test_noise_that_grows_while_a_phone_warms_up_soon() -> None:
+    """Most rests are at the highest temperature, and most of the change at few others."""
+    warm = 45.0 - 20.0 * np.exp(-T / 400.0)
+    seen = found(noise(1) * (1.0 + 0.4 * (warm - 25.0))[:, None], warm)
+    assert seen is not None and seen.where.driver == "temperature"
+    assert 5.0 < seen.parameters["ratio"].value < 9.0, "9 from the first moment on"
 
 
 def test_noise_added_beside_what_a_filter_passed_follows_charging() -> None:
