@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     of_chance,
     sized,
 )
-from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Finding, Number, Where
+from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, NAME, Finding, Number, Where
 from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
 from stillcal.calib_core.streams.samples import Samples
 
@@ -89,4 +89,6 @@ def beside(found: list[Finding], lost: Finding | None) -> list[Finding]:
     """Return one sensor's findings and the values lost, without what these do to the noise of their axes."""
     if lost is None:
         return found
-    return [lost, *(f for f in found if f.effect not in SPOILED or not set(f.axes) <= set(lost.axes))]
+    spoiled = [f for f in found if f.effect in SPOILED or (f.effect, f.where.driver) == ("unknown", AT_REST)]
+    own = [f for f in spoiled if set(f.axes) <= set(lost.axes)]
+    return [lost, *(f for f in found if not any(f is other for other in own))]

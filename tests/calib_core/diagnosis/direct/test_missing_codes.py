@@ -51,13 +51,14 @@ def test_what_hardly_moves_shows_no_bit() -> None:
 
 
 def test_noise_of_an_axis_with_a_dead_bit_is_not_judged() -> None:
-    def heavy(axes: list[int]) -> Finding | None:
+    def heavy(axes: list[int], effect: str = "noise_heavy_tailed") -> Finding | None:
         where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), DirectEvidence(99.0)
-        return direct_finding("noise_heavy_tailed", "accel", axes, where, {}, statement="", seen=seen)
+        return direct_finding(effect, "accel", axes, where, {}, statement="", seen=seen)
 
     codes = counts(1).astype(int)
     codes[:, 2] &= ~8
     bit = said(codes * STEP)
     assert beside([heavy([2])], bit) == [bit]
+    assert beside([heavy([2], "unknown")], bit) == [bit], "outliers of one size are no noise"
     assert len(beside([heavy([0, 2])], bit)) == 2
     assert len(beside([heavy([2])], None)) == 1
