@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, of_chance, sized
+from stillcal.calib_core.diagnosis.model.measurement import (
+    DirectEvidence,
+    Index,
+    direct_finding,
+    of_chance,
+    sized,
+)
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import ASIDE, OWN, lines
 from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, residual, spread
@@ -167,17 +173,38 @@ def batch(series: Sequence[Array], *, tones: int = 0) -> tuple[int, float]:
     batch: a weak vibration gives values one, and their size one at twice its frequency. So many of the
     clearest of each are then left out, a third of all at most, and two at least must be left.
     """
-    best, n = (2, 0.0), 2 * (series[0].size - 1)
+    best = (2, 0.0)
     for period in range(3, LARGEST + 1):
-        at = np.rint(np.arange(1, (period - 1) // 2 + 1) * (n / period)).astype(np.int64)
-        at = at[(at > SLOWEST * n) & (at < series[0].size - ASIDE)]
+        at = _overtones(series[0], period)
         left = at.size - min(tones, max(at.size // 3, 1))
         count = len(series) * left
         if left > (1 if tones else 0):
             told = sum(float(np.sort(line[at])[:left].sum()) for line in series)
             nats = of_chance(float(log_tail(2.0 * told, 2 * count)), LARGEST)
             best = max(best, (period, nats), key=lambda x: x[1])
-    return best
+    return _least(series, best[0]), best[1]
+
+
+def _overtones(line: Array, period: int) -> Index:
+    """Return the places of a batch's overtones in lines, those that are sought."""
+    n = 2 * (line.size - 1)
+    at = np.rint(np.arange(1, (period - 1) // 2 + 1) * (n / period)).astype(np.int64)
+    return np.asarray(at[(at > SLOWEST * n) & (at < line.size - ASIDE)])
+
+
+def _least(series: Sequence[Array], period: int) -> int:
+    """Return the least size of a batch whose overtones are all that is there of those of `period`.
+
+    Of one of five samples two overtones are sought, of which one may be a vibration; of ten there are four.
+    """
+    every = _overtones(series[0], period)
+    for least in range(3, period // 2 + 1):
+        others = np.setdiff1d(every, _overtones(series[0], least))
+        told = sum(float(line[others].sum()) for line in series)
+        by_chance = float(log_tail(2.0 * told, 2 * len(series) * others.size))
+        if period % least == 0 and of_chance(by_chance, LARGEST) < 0.0:
+            return least
+    return period
 
 
 def _beat(line: Array, noise: Noise) -> tuple[float, float]:

@@ -285,6 +285,16 @@ def test_one_overtone_alone_is_no_batch() -> None:
     assert period == 11 and nats > 10.0
 
 
+@pytest.mark.parametrize("samples", [5, 6, 8, 10])
+def test_a_batch_is_told_with_its_own_size(samples: int) -> None:
+    """One of 5 was told as 10 samples, one of 6 as 12; two of its overtones are taken for vibrations too."""
+    line = np.random.default_rng(samples).exponential(size=13_001)
+    line[np.rint(np.arange(1, (samples - 1) // 2 + 1) * 26_000 / samples).astype(int)] = 60.0
+    for tones in (1, 2):
+        period, nats = batch([line], tones=tones)
+        assert period == samples and nats > 20.0
+
+
 def test_noise_that_is_never_calm_on_all_axes_at_once_has_no_size_to_follow() -> None:
     rng, n = np.random.default_rng(2), 20_000
     loud = (np.arange(n) // 256 % 3)[:, None] == np.arange(3)
