@@ -110,3 +110,31 @@ def test_either_of_a_pair_has_a_name_and_passes_beside_the_other(
     nothing: Any = None
     found = search.of_hidden_pair(nothing, ranked, [beside], [], thresholds.SCORE)
     assert (found is not None) == stated
+
+
+def test_of_each_likely_name_the_best_form_is_tried_for_a_pair_best_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What passes beside the first makes a pair with it, and is not tried again as the first of the same."""
+    nothing: Any = None
+
+    def scored(effect: Effect, value: float) -> search.Scored:
+        return search.Scored(Hypothesis(effect, {}, ()), nothing, value, value)
+
+    line, curve, cubic = (BiasTemperature("accel", degree) for degree in (1, 2, 3))
+    names = {e.name: e for e in named_effects() if e.sensor == "accel" and e.name != line.name}
+    step, scale, drift = (names[f"accel_{n}"] for n in ("bias_step", "scale_temperature", "bias_drift"))
+    scores = [(unknown_effects("accel")[0], 3.8), (curve, 3.5), (line, 3.0), (step, 2.0), (scale, 1.5)]
+    ranked = [scored(effect, value) for effect, value in [*scores, (cubic, 1.2), (drift, 0.9)]]
+    tried: list[Effect] = []
+
+    def beside(_: object, __: object, found: list[Hypothesis]) -> list[search.Scored]:
+        tried.append(found[-1].effect)
+        return [scored(step, 9.0)] if found[-1].effect is curve else []
+
+    monkeypatch.setattr(search, "ranking", beside)
+    monkeypatch.setattr(search, "proposals", lambda *_: [])
+    monkeypatch.setattr(search, "compete", lambda *_: [scored(curve, 9.0)])
+    found = search.of_hidden_pair(nothing, ranked, list(names.values()), [], thresholds.SCORE)
+    assert found is not None and found.winner.hypothesis.effect is curve
+    assert tried == [curve, scale]

@@ -141,6 +141,13 @@ def test_a_tremor_of_5_hz_is_no_vibration(part: float) -> None:
     assert not found(0.1 * np.sin(wandering(1, 5.1, part)))
 
 
+@pytest.mark.parametrize("amplitude", [0.015, 0.1])
+def test_a_fan_beside_a_tremor_is_told(amplitude: float) -> None:
+    tremor = 0.1 * np.sin(wandering(1, 5.1, 0.05))
+    line = found(tremor + amplitude * np.sin(wandering(2, 13.1, 0.02)))[0]
+    assert line.where.driver == WANDERS and round(middle_hz(line)) == 13
+
+
 @pytest.mark.parametrize(("seed", "middle", "told"), [(2, 6.2, 1), (1, 5.8, 0)])
 def test_a_fan_about_6_hz_is_told_with_all_of_its_range_or_not_at_all(
     seed: int, middle: float, told: int
