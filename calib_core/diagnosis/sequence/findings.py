@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.lines.line import is_line
+from stillcal.calib_core.diagnosis.noise.lines.line import is_line, middle_hz, reach_hz
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as PERIOD
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.sequence.codes import DRIVER as OWN_CODE
 from stillcal.calib_core.diagnosis.sequence.codes import by_code
 from stillcal.calib_core.diagnosis.sequence.dropouts import dropouts
 from stillcal.calib_core.diagnosis.sequence.lone_values import lone_values
 from stillcal.calib_core.diagnosis.sequence.order import wrong_order
+from stillcal.calib_core.diagnosis.sequence.places import DRIVER as COUNT
 from stillcal.calib_core.diagnosis.sequence.places import Noise, by_count
 from stillcal.calib_core.diagnosis.sequence.recurrence import STALE, delivered_again, stale_axes
 from stillcal.calib_core.streams.samples import Samples
@@ -25,6 +27,9 @@ SPOILED = ("noise_heavy_tailed", "noise_level", "noise_unequal_axes")
 
 NAMED_CODES = "missing_codes"
 """The name of what an axis leaves out or keeps by its own code."""
+
+AT_OVERTONE_HZ = 0.05
+"""Difference from a batch's overtone that is none: what a stretch of 20 s tells apart."""
 
 LEAST_SAMPLES = 200
 
@@ -66,10 +71,25 @@ def still_rows(t: Array, bins: Bins) -> NDArray[np.bool_]:
 def beside_names(nameless: Sequence[Finding], named: Sequence[Finding]) -> list[Finding]:
     """Return both, without names that a nameless effect of the same sensor's samples looks like.
 
-    What depends on an axis' own code, or keeps a value, has a name where values are missing.
+    What depends on an axis' own code, or keeps a value, has a name where values are missing. A batch
+    of samples has lines at its overtones alone.
     """
     coded = {f.sensor for f in named if f.effect == NAMED_CODES}
     own = [f for f in nameless if f.where.driver not in (OWN_CODE, STALE) or f.sensor not in coded]
-    sensors = {f.sensor for f in own}
-    spoiled = [f for f in named if f.sensor in sensors and (f.effect in SPOILED or is_line(f))]
+    spoiled = [f for f in named if any(_looks_like(f, one) for one in own if one.sensor == f.sensor)]
     return [*own, *(f for f in named if not any(f is other for other in spoiled))]
+
+
+def _looks_like(named: Finding, nameless: Finding) -> bool:
+    """Whether a finding may be no more than how a nameless effect of its sensor's samples looks."""
+    periodic = named.where.driver == PERIOD
+    if not is_line(named) and not periodic:
+        return named.effect in SPOILED
+    if nameless.where.driver != COUNT:
+        return not periodic
+    samples = float(np.asarray(nameless.parameters["period_samples"].value))
+    if not samples.is_integer():  # a beat, which gives vibrations sidebands
+        return not periodic
+    batches = 2.0 * nameless.where.band_hz[1] / samples
+    overtone = batches * round(middle_hz(named) / batches)
+    return abs(middle_hz(named) - overtone) < AT_OVERTONE_HZ + reach_hz(named)

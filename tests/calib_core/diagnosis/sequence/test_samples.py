@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.diagnosis.diagnose import diagnose, examine
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
@@ -206,6 +207,27 @@ def test_a_name_that_fits_is_kept_and_one_that_only_looks_like_it_goes() -> None
     heavy, other = finding("noise_heavy_tailed", "noise"), finding("noise_heavy_tailed", "noise", "accel")
     assert beside_names([coded], [heavy, other]) == [coded, other]
     assert beside_names([coded], [missing]) == [missing]
+
+
+@pytest.mark.parametrize(("own", "hz", "driver", "samples", "kept"), [
+    ("time", 11.3, "count of the samples", 8.0, True),
+    ("time", 12.52, "count of the samples", 8.0, False),
+    ("time", 11.3, "count of the samples", 8.3, False),
+    ("time", 11.3, "order of the samples", 8.0, False),
+    ("a steady period", 6.25, "count of the samples", 8.0, False),
+    ("a steady period", 3.3, "count of the samples", 8.0, True),
+    ("a steady period", 6.25, "order of the samples", 8.0, True),
+])  # fmt: skip
+def test_a_batch_hides_vibrations_at_its_overtones_alone(
+    own: str, hz: float, driver: str, samples: float, kept: bool
+) -> None:
+    """One of 8 samples at 50 Hz has them at 6.25, 12.5 and 18.75 Hz; a beat gives vibrations sidebands."""
+    where = Where(0.0, 1.0, (0.0, 25.0), driver)
+    size = {"period_samples": Parameter(samples, None, "samples")}
+    counted = replace(finding("unknown", driver), where=where, parameters=size)
+    name = "vibration_tone" if own == "time" else "unknown"
+    line = replace(finding(name, own), parameters={"frequency": Parameter(hz, [hz, hz], "Hz")})
+    assert beside_names([counted], [line]) == ([counted, line] if kept else [counted])
 
 
 def test_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
