@@ -217,11 +217,11 @@ def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
     """Return the finding of another recording that is of the same cause; None without one.
 
     Effect and sensor are the same; so is the driver of what has no name, and a line's frequency or a period,
-    for two lines are two vibrations. Of several lines it is the nearest in frequency. One vibration may be
-    steady in one recording, and come and go in the other.
+    also one of samples, for two lines are two vibrations. Of several lines it is the nearest in frequency.
+    One vibration may be steady in one recording, and come and go in the other.
     """
     same = [o for o in others if o.sensor == finding.sensor and _same_kind(finding, o)]
-    same = [o for o in same if all(_alike(finding, o, name) for name in (LINE, "period_s"))]
+    same = [o for o in same if all(_alike(finding, o, name) for name in (LINE, "period_s", "period_samples"))]
     return min(same, key=lambda o: _octaves(finding, o), default=None)
 
 

@@ -21,7 +21,8 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -104,6 +105,18 @@ def test_a_second_line_has_no_partner_in_a_recording_with_one(hertz: float) -> N
     pairs = {round(float(np.mean(f.where.band_hz)), 1): partner(f, own, alone) for f in own}
     assert pairs == {13.7: alone[0], hertz: None}
     assert partner(alone[0], alone, own) is not None
+
+
+@pytest.mark.parametrize(("samples", "same"), [(8.0, True), (50.0, False)])
+def test_batches_of_other_sizes_are_two_effects(samples: float, same: bool) -> None:
+    """Of a recording with one of 8 samples and a simulation with one of 50 it was said that they match."""
+    where, seen = Where(0.0, 1.0, (0.0, 25.0), "count of the samples"), DirectEvidence(99.0)
+    sizes = [sized({"period_samples": (n, "samples")}) for n in (8.0, samples)]
+    one, other = (
+        direct_finding("unknown", "accel", [0], where, size, statement="", seen=seen) for size in sizes
+    )
+    assert one is not None and other is not None
+    assert (pair_of(one, [other]) is other) is same
 
 
 EVEN = np.arange(6000.0) / 99.97
