@@ -65,7 +65,7 @@ class Turn:
 
     first: of the bins, that it begins at; end, duration: s; angle: rad turned through; ends: (2, 3, 9) what
     the accelerometer's parameters do to `miss` by gravity before and after; between: (3,) rad, one standard
-    deviation of what its samples may not tell of it.
+    deviation of what its samples may not tell of it; stretch: the part of its time that is unsure.
     """
 
     first: int
@@ -80,6 +80,7 @@ class Turn:
     angle: float
     temperature: float
     between: Array
+    stretch: float = 0.0
 
     @property
     def unsure(self) -> Array:
@@ -103,6 +104,10 @@ class Turn:
         turned = self.carried / np.maximum(np.gradient(self.t), 1e-9)[:, None, None]
         moved = np.cross(np.einsum("nij,nj->ni", turned, np.gradient(self.rate, axis=0)), self.up)
         return float(np.sqrt((moved**2).sum() / 2.0))
+
+    def by_stretch(self) -> Array:
+        """Return by how much (3,) rad time that is unsure as a whole moves it, one standard deviation."""
+        return np.asarray(self.stretch * (self.scale_columns() @ np.eye(3).ravel()))
 
     def across(self) -> Array:
         """Return two unit vectors (2, 3) across gravity at the end."""
@@ -271,6 +276,7 @@ def _carried(
                 _angle(cut.t, rate),
                 cut.temperature,
                 own,
+                cut.stretch,
             )
         )
     return out

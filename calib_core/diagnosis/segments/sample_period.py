@@ -56,8 +56,10 @@ def bunched(t: Array) -> bool:
     return heel <= 0.0 or waits.size == 0 or rms(off) > ON_GRID or _in_equal_times(steps, waits.size)
 
 
-def measured_evenly(t: Array) -> Array:
+def measured_evenly(t: Array) -> tuple[Array, float]:
     """Return when samples (n,) were measured, at equal intervals, whose stamps t tell when bursts came.
+
+    And by what part their interval is unsure, one standard deviation: all of it where bursts are few.
 
     The last samples of bursts are as late as their delivery. Where a burst and those after it are later than
     those before it by half of what a usual one lasts and more, bursts are lost.
@@ -65,7 +67,7 @@ def measured_evenly(t: Array) -> Array:
     steps = np.diff(t)
     last = np.flatnonzero(np.append(steps > HEELS * steps.mean(), True))
     if last.size < 2 * NEAR:
-        return t
+        return t, 1.0
     sizes, waits = np.diff(last), np.diff(t[last])
     period, usual = float(np.median(waits / sizes)), float(np.median(sizes))
     late, missing = (t[last] - period * last) / (period * usual), np.zeros(t.size)
@@ -73,7 +75,10 @@ def measured_evenly(t: Array) -> Array:
         later = np.median(late[k : k + NEAR]) - np.median(late[max(k - NEAR, 0) : k])
         missing[last[k - 1] + 1] = usual * max(np.rint(later), 0.0)
     places = np.arange(t.size) + np.cumsum(missing)
-    return np.asarray(np.polyval(np.polyfit(places[last], t[last], 1), places), dtype=np.float64)
+    line = np.polyfit(places[last], t[last], 1)
+    off = t[last] - np.polyval(line, places[last])
+    spread = float(places[last].std() * np.sqrt(last.size - 2.0)) * float(line[0])
+    return np.asarray(np.polyval(line, places), dtype=np.float64), rms(off) / spread
 
 
 def _in_equal_times(steps: Array, waits: int) -> bool:

@@ -33,12 +33,16 @@ WINDOWS = (1, 2, 4, 8, 16, 32, 64)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cut:
-    """A turn as recorded, from bin `first` to the next. t: (n,) s; rate: (n, 3) rad/s, bias off."""
+    """A turn as recorded, from bin `first` to the next. t: (n,) s; rate: (n, 3) rad/s, bias off.
+
+    stretch: the part of its time that is unsure, one standard deviation.
+    """
 
     first: int
     t: Array
     rate: Array
     temperature: float
+    stretch: float = 0.0
 
 
 Rates = Callable[[Samples], Array]
@@ -62,7 +66,13 @@ def cuts(gyroscope: Samples, bins: Bins, limit: float = np.inf, rates: Rates = a
     last = np.flatnonzero(np.diff(bins.rest) > 0)
     found = [_cut(gyroscope, bins, bias, int(i), rates) for i in last]
     clear = [c for c in found if c is not None and _fastest(gyroscope, c, bias) < SHORT_OF * limit]
-    return [replace(c, t=measured_evenly(c.t)) for c in clear] if bunched(gyroscope.t) else clear
+    return [_even(c) for c in clear] if bunched(gyroscope.t) else clear
+
+
+def _even(cut: Cut) -> Cut:
+    """Return a turn, stamped in bursts, as it was measured."""
+    t, stretch = measured_evenly(cut.t)
+    return replace(cut, t=t, stretch=stretch)
 
 
 def _fastest(gyroscope: Samples, cut: Cut, bias: Array) -> float:

@@ -43,10 +43,10 @@ def turn_view(made: Aligned, bins: Bins) -> View:
 
     Their variance is what is known of noise. Besides, the accelerometer's parameters may be off by as much as
     the norm of gravity leaves them unknown, its bias by how it wanders and by what every rest has anew, and
-    the rate's bias by what coarse steps do to it at rest where the turn dithers them. What happens between
-    two samples goes with the course of the rates, as a gyroscope's nonlinearity does: it is allowed for in
-    all turns alike, and as much again in each. `duration` holds the angle turned through, with which errors
-    may grow.
+    the rate's bias by what coarse steps do to it at rest where the turn dithers them. Of stamps in bursts the
+    time that each turn lasts is unsure. What happens between two samples goes with the course of the rates,
+    as a gyroscope's nonlinearity does: it is allowed for in all turns alike, and as much again in each.
+    `duration` holds the angle turned through, with which errors may grow.
     """
     found = made.turns
     across = np.array([t.across() for t in found])
@@ -62,6 +62,9 @@ def turn_view(made: Aligned, bins: Bins) -> View:
     y = seen(np.array([t.miss for t in found])[:, :, None])[:, 0] + unsure @ made.away
     waves, rests = _at_rests(made, bins)
     absorbed = [unsure @ made.unsure, between, seen(waves)]
+    if any(t.stretch > 0.0 for t in found):
+        stretched = np.array([t.by_stretch() for t in found])
+        absorbed.append(seen(np.eye(len(found))[:, None, :] * stretched[:, :, None]))
     if bins.rate_rounding is not None:
         errors = np.eye(3) * bins.rate_rounding
         absorbed.append(seen(np.array([t.columns(np.tile(errors, (t.t.size, 1, 1))) for t in found])))

@@ -12,6 +12,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER, turn_errors
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import _unforeseen, turn_view
 from stillcal.calib_core.streams.samples import Samples
 from tests.calib_core.diagnosis.model.test_rotation_alignment import G, day
 
@@ -54,15 +55,27 @@ def test_coarse_samples_of_quick_turns_are_allowed_for() -> None:
     assert found(force, spin[::12]) is None
 
 
-def test_turns_whose_samples_came_in_packets_are_silent() -> None:
-    """Samples have the stamp of their packet of six, which comes late by chance; one in fifty is lost."""
-    rng = np.random.default_rng(7)
-    force, spin = scaled(np.zeros(40))
+def in_packets(spin: Samples, seed: int, lost: float) -> Samples:
+    """Return samples with the stamp of their packet of six, which comes late by chance; some are lost."""
+    rng = np.random.default_rng(seed)
     packet = np.arange(spin.t.size) // 6
     late = rng.exponential(0.012, packet[-1] + 1)[packet]
     stamps = spin.t[np.minimum(6 * packet + 5, spin.t.size - 1)] + late + 1e-4 * (np.arange(packet.size) % 6)
-    kept = (rng.random(packet[-1] + 1) > 0.02)[packet]
-    assert found(force, Samples.checked(spin.sensor, stamps[kept], spin.xyz[kept])) is None
+    kept = (rng.random(packet[-1] + 1) >= lost)[packet]
+    return Samples.checked(spin.sensor, stamps[kept], spin.xyz[kept])
+
+
+def test_turns_whose_samples_came_in_packets_are_silent() -> None:
+    force, spin = scaled(np.zeros(40))
+    assert found(force, in_packets(spin, 7, 0.02)) is None
+
+
+def test_turns_whose_samples_came_in_packets_are_as_unsure_as_they_are_off() -> None:
+    force, spin = scaled(np.zeros(40))
+    late = in_packets(spin, 9, 0.0)
+    bins = cut(force, late)
+    off = _unforeseen(turn_view(aligned(late, bins, G), bins))
+    assert 0.8 < np.sqrt((off**2).mean()) < 1.15, "1.46 if all were as long as their stamps say"
 
 
 def test_the_diagnosis_states_it() -> None:
