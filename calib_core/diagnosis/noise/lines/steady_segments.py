@@ -7,6 +7,7 @@ would shift the phase of every line, gap by gap.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
-from stillcal.calib_core.diagnosis.stamps.timestamps import Grid
+from stillcal.calib_core.diagnosis.stamps.timestamps import LONGEST_GAP, Grid
 from stillcal.calib_core.streams.samples import Samples
 
 STEADY = {"accel": 0.1, "gyro": 0.03}
@@ -26,6 +27,9 @@ SHORTER = 0.92
 """Each length that is tried where a longer one finds no room is so much of that before."""
 
 LEAST_SAMPLES = 100
+
+EVEN, PAUSE = 5.0, 5.0
+"""s over which stamps are evened, and that part two batches at least if a pause lies between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +115,35 @@ class Places:
         there = np.zeros(every.size, dtype=np.bool_)
         there[place] = True
         xyz = np.stack([np.interp(every, place, axis) for axis in samples.xyz.T], axis=1)
-        return cls(period, np.interp(every, place, samples.t), xyz, there)
+        t = np.interp(every, place, _evened(samples.t, place, period))
+        return cls(period, t, xyz, there)
+
+
+def _evened(t: Array, place: Index, period: float) -> Array:
+    """Return stamps (n,), s, as a clock that goes evenly for seconds would have made them. place: (n,).
+
+    Stamps in whole milliseconds, or of batches, are off by a good part of a period: by them, what shakes at
+    one frequency would be noise at all others, far above the noise that samples in their places have.
+    """
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
+
+    late = t - period * place
+    pause = PAUSE if bunched(t) else LONGEST_GAP * period
+    ends = [0, *(np.flatnonzero(np.diff(t) > pause) + 1).tolist(), t.size]
+    longest = 2 * round(EVEN / 2.0 / period) + 1
+    for first, last in pairwise(ends):
+        own, count = late[first:last], min(longest, last - first)
+        half = count // 2
+        begin, end = _line(own[:count]), _line(own[last - first - count :])
+        own[:] = uniform_filter1d(own, count)
+        own[:half], own[last - first - half :] = begin[:half], end[count - half :]
+    return np.asarray(np.maximum.accumulate(late + period * place))
+
+
+def _line(values: Array) -> Array:
+    """Return the straight line (n,) through evenly spaced values (n,)."""
+    at = np.arange(values.size, dtype=np.float64) - (values.size - 1) / 2.0
+    return np.asarray(values.mean() + float(at @ values) / max(float(at @ at), 1.0) * at)
 
 
 def stretches(

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from scipy.signal import butter, lfilter, sosfilt
 from scipy.special import ive
 
 from stillcal.calib_core.arrays import Array, frozen
@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middl
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import faint_lines
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 T = np.arange(0.0, 600.0, 0.01)
@@ -389,3 +390,29 @@ def test_rests_hours_apart_need_no_more_memory_than_rests_minutes_apart() -> Non
     tracemalloc.stop()
     assert [round(middle_hz(f)) for f in found] == [9]
     assert peak < 300e6
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_stamps_in_whole_milliseconds_make_no_images_of_a_line(seed: int) -> None:
+    """Beside a line of 131.7 Hz there were two at 168.3 and 31.7 Hz, and the shaking's power in each."""
+    rng, t = np.random.default_rng(seed), np.arange(40_000) / 400.0
+    shaking = sosfilt(butter(2, [5.0, 20.0], "band", fs=400.0, output="sos"), rng.normal(size=t.size))
+    xyz = rng.normal(0.0, 2e-3, (t.size, 3)) + np.array([0.0, 0.0, 9.8])
+    xyz[:, 0] += 3e-3 * np.sin(2.0 * np.pi * 131.7 * t)
+    xyz[:, 1] += 0.3 * shaking / shaking.std()
+    (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(np.round(t, 3)), frozen(xyz)), "accel")
+    assert middle_hz(line) == pytest.approx(131.7, abs=0.01)
+    assert line.parameters["amplitude"].value == pytest.approx([3e-3, 0.0, 0.0], abs=2e-4)
+
+
+@pytest.mark.parametrize(("scatter", "batch"), [(4e-4, 1), (0.0, 40)])
+def test_stamps_are_evened_up_to_a_pause_and_no_further(scatter: float, batch: int) -> None:
+    rng = np.random.default_rng(1)
+    true = np.arange(30_000) * 0.0025003 + 7.0 * (np.arange(30_000) >= 13_000)
+    stamps = np.sort(true + rng.uniform(-scatter, scatter, true.size))
+    stamps = stamps[np.arange(true.size) // batch * batch] + 1e-6 * (np.arange(true.size) % batch)
+    places = Places.of(Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.ones((true.size, 3)))))
+    assert places is not None
+    off = places.t[places.there] - true
+    assert float(np.abs(off - np.median(off)).max()) < (1.5e-4 if batch == 1 else 0.03)
+    assert float(off.std()) < (3e-5 if batch == 1 else 3e-3)
