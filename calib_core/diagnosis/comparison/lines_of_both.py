@@ -18,7 +18,13 @@ from stillcal.calib_core.diagnosis.noise.lines.line import (
     middle_hz,
     reach_hz,
 )
-from stillcal.calib_core.diagnosis.noise.lines.line_put_in import as_shown, every_line, same_line, would_show
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import (
+    as_shown,
+    every_line,
+    may_have,
+    same_line,
+    would_show,
+)
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import SHORT
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stream import of_one_vibration
@@ -138,8 +144,11 @@ class LinesOf:
         if sensor not in self._hidden:
             lines = [f for f in own if f.sensor == sensor and is_line(f)]
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
-            shown = would_show(self._streams[sensor].calm, sensor, absent, self._of(sensor))
-            self._hidden[sensor] = [f for f, seen in zip(absent, shown, strict=True) if not seen]
+            calm = self._streams[sensor].calm
+            shown = would_show(calm, sensor, absent, self._of(sensor))
+            self._hidden[sensor] = [
+                f for f, seen in zip(absent, shown, strict=True) if not seen or may_have(calm, sensor, f)
+            ]
         return not_as_large("rests") if any(finding is f for f in self._hidden[sensor]) else None
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,12 @@ frequencies that the phase tells none; they took 11 GB."""
 IN_STEP = 0.9
 """Part of a line's power, at least, that its phase foretells: what is off by a twentieth of a cycle (rms) has
 exp(-(2 pi / 20)^2). What wanders by more stands out as well of the spectrum of the whole recording."""
+
+SIGMAS = 2.0
+"""Standard errors by which a power may be larger than it is measured."""
+
+LEAST_TOGETHER = 3
+"""Stretches whose mean tells how far it may be off."""
 
 SIGNIFICANT = 3.0
 """Standard errors from which an axis has a line: by chance one in 700."""
@@ -244,6 +251,25 @@ def _mean_power(power: Array, noise: Array) -> tuple[Array, Array]:
     weight /= weight.sum(axis=0)
     mean = (weight * power).sum(axis=0)
     return mean, np.sqrt((weight**2 * (power - mean) ** 2).sum(axis=0))
+
+
+def most_power(seen: Stretches, lowest: float, highest: float, share: float) -> Array:
+    """Return the largest squared amplitude (3,), by axis, that a line between two frequencies, Hz, may have.
+
+    Of any so large a share of the stretches, one after the other: its mean above the neighbours, with two
+    standard errors.
+    """
+    count = min(max(int(np.ceil(share * len(seen.length))), LEAST_TOGETHER), len(seen.length))
+    begins = np.arange(0, len(seen.length) - count + 1, max(count // 4, 1))
+    first, last = np.clip(np.rint(np.array([lowest, highest]) / float(seen.f[1])), 0, seen.f.size - 1)
+    most = np.zeros(3)
+    for begin, place in product(begins, range(int(first), int(last) + 1)):
+        rows = np.arange(begin, begin + count)
+        scale = seen.to_amplitude[rows, None] ** 2
+        noise = scale * _noise(seen, rows, place)
+        mean, error = _mean_power(scale * seen.power[rows, place] - noise, noise)
+        most = np.maximum(most, mean + SIGMAS * error)
+    return most
 
 
 def vibration(

@@ -1,4 +1,4 @@
-"""Whether rests would show lines of another recording: they are put in and looked for.
+"""Whether rests may have, or would show, lines of another recording: they are put in and looked for.
 
 Rests that are fewer, shorter or louder do not show every line that others do, and no more than the surest are
 stated of any.
@@ -15,14 +15,17 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
-from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz, reach_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS, middle_hz, reach_hz
+from stillcal.calib_core.diagnosis.noise.lines.line_estimate import most_power
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
     APART_HZ,
     LEAST_LINE_HZ,
     MOST_LINES,
     MOST_TRIED,
+    SHORT,
     tones,
 )
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
@@ -61,19 +64,41 @@ def as_shown(
     others: `every_line` of these rests.
     """
     rate = 1.0 / sample_period(samples.t)
+    places = Places.of(samples)
+    t = samples.t if places is None else places.t[places.there]
     there = [folded(middle_hz(one), rate) for one in others]
     louder = samples.xyz
     placed: list[float] = []
     for line in lines:
         size = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)
         placed.append(_aside(folded(middle_hz(line), rate), [*there, *placed], rate))
-        louder = louder + PART * np.outer(_wave(line, placed[-1], samples.t - samples.t[0]), size)
+        louder = louder + PART * np.outer(_wave(line, placed[-1], t - t[0]), size)
     found = tones(replace(samples, xyz=frozen(louder)), sensor, most=MOST_TRIED)
     again = (
         (one for one in found if same_line(aside, middle_hz(one), rate, reach_hz(line)))
         for line, aside in zip(lines, placed, strict=True)
     )
     return [next(seen, None) for seen in again]
+
+
+def may_have(samples: Samples, sensor: str, line: Finding) -> bool:
+    """Whether the rests of one sensor have so much power at a line's frequency that it may be there, unseen.
+
+    Real lines wander and come and go otherwise than those that are put in. Of one that wanders far no single
+    frequency has much.
+    """
+    seen = stretches(Places.of(samples), sensor, SHORT)
+    if seen is None or line.where.driver == WANDERS:
+        return False
+    amplitude = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)
+    errors = np.ptp(np.asarray(line.parameters["amplitude"].ci95, dtype=np.float64), axis=-1)
+    clearest = int(np.argmax(amplitude / np.maximum(errors, 1e-300)))
+    share = float(np.asarray(line.parameters["fraction"].value))
+    own = folded(middle_hz(line), 2.0 * float(seen.f[-1]))
+    about = apart_hz(middle_hz(line))
+    most = most_power(seen, own - about, own + about, share)
+    there = share if line.where.driver == COMES_AND_GOES else 1.0
+    return bool(most[clearest] >= there * (PART * amplitude[clearest]) ** 2)
 
 
 def _wave(line: Finding, frequency: float, t: Array) -> Array:
@@ -119,5 +144,9 @@ def same_line(one: float, other: float, rate: float, wanders: float = 0.0) -> bo
 
     wanders: Hz, how far on either side one of them does.
     """
-    apart = abs(folded(one, rate) - folded(other, rate))
-    return apart < APART_HZ + CLOCKS * max(one, other) + wanders
+    return abs(folded(one, rate) - folded(other, rate)) < apart_hz(max(one, other)) + wanders
+
+
+def apart_hz(frequency: float) -> float:
+    """Return by how much, Hz, one line of a frequency may be apart in two recordings."""
+    return APART_HZ + CLOCKS * frequency

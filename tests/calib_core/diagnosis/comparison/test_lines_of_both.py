@@ -12,7 +12,8 @@ from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.noise.lines.line_put_in import same_line, would_show
+from stillcal.calib_core.diagnosis.model.records import Parameter
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import may_have, same_line, would_show
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -197,3 +198,18 @@ def test_fans_whose_speeds_overlap_may_be_one() -> None:
     assert differing(found) == []
     said = [m.reason for m in found.not_compared if "may be the same one" in m.reason]
     assert said, [m.reason for m in found.not_compared]
+
+
+def test_a_line_whose_power_is_there_may_be_there_however_it_moves() -> None:
+    """One of an engine was lacking and superfluous, as it was not among those that the other one states."""
+    (line,) = tones(resting(1, 600.0, {11.0: 0.01}), "accel")
+    none, half = resting(2, 600.0, {}), resting(3, 600.0, {11.0: 4e-3})
+    assert [may_have(one, "accel", line) for one in (none, half)] == [False, False]
+    t = none.t
+    broad = np.cumsum(np.random.default_rng(4).normal(0.0, 0.03, t.size))
+    moves = none.xyz + 0.012 * np.outer(np.sin(2.0 * np.pi * 11.1 * t + broad), [1.0, 0.0, 0.0])
+    assert may_have(replace(none, xyz=frozen(moves)), "accel", line)
+    for_a_while = none.xyz + (moves - none.xyz) * (np.abs(t - 200.0) < 100.0)[:, None]
+    brief = replace(line, parameters=line.parameters | {"fraction": Parameter(0.3, [0.25, 0.35], "1")})
+    assert may_have(replace(none, xyz=frozen(for_a_while)), "accel", brief)
+    assert not may_have(none, "accel", brief)
