@@ -89,7 +89,7 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     Values and noise at rest are those of either, and compared as such. Raises UserError where stamps or the
     motion differ, NotSupported on too little data.
     """
-    refuse_itself(recording, [simulation])
+    refuse_itself(recording, [simulation], simulated=True)
     refuse_other_stamps(recording, simulation)
     refuse_short(recording, simulation)
     refuse_other_motion(recording, simulation)

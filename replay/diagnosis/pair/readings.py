@@ -25,11 +25,14 @@ SHIFTED = 0.02
 (MPU-6050, 5 Hz). More is a matter of stamps."""
 
 
-def refuse_itself(recording: Recording, others: Sequence[Recording]) -> None:
-    """Raise UserError where another recording holds the same samples: nothing is left between them."""
-    own = recording.accelerometer.xyz
+def refuse_itself(recording: Recording, others: Sequence[Recording], *, simulated: bool = False) -> None:
+    """Raise UserError where another recording holds the same samples: nothing is left between them.
+
+    simulated: the others are simulations, of which a change of one sensor alone leaves the other's samples.
+    """
     for other in others:
-        if np.array_equal(other.accelerometer.xyz, own):
+        same = [np.array_equal(b.xyz, a.xyz) for _, a, b in shared_streams(recording, other)]
+        if all(same if simulated else same[:1]):
             raise UserError(
                 f"{other.name}: holds the very samples of {recording.name}; give what another sensor, or a"
                 " simulation, reads of the same motion"

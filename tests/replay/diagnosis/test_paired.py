@@ -21,7 +21,7 @@ from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.pair.as_both import unsure_delay
 from stillcal.replay.diagnosis.pair.paired import judge_paired
-from stillcal.replay.diagnosis.pair.readings import less, mean_readings
+from stillcal.replay.diagnosis.pair.readings import less, mean_readings, refuse_itself
 from stillcal.replay.diagnosis.pair.witnesses import MISMATCH, judge_with_witnesses
 from stillcal.replay.diagnosis.sample_changes import held_at
 from stillcal.replay.diagnosis.words.summary import summary
@@ -414,6 +414,20 @@ def test_the_recording_itself_is_no_witness_and_no_simulation() -> None:
     for judge in (lambda: judge_paired(own, again), lambda: judge_with_witnesses(own, [recording(2), again])):
         with pytest.raises(UserError, match=r"again\.csv: holds the very samples of real\.csv"):
             judge()
+
+
+def test_a_simulation_may_differ_in_its_gyroscope_alone() -> None:
+    own, other = recording(1, slope=SLOPE), recording(1, name="sim.csv")
+    assert np.array_equal(own.accelerometer.xyz, other.accelerometer.xyz)
+    refuse_itself(own, [other], simulated=True)
+    with pytest.raises(UserError, match=r"sim\.csv: holds the very samples of real\.csv"):
+        refuse_itself(own, [other])
+
+
+@pytest.mark.slow
+def test_what_only_the_gyroscope_of_a_simulation_lacks_is_found() -> None:
+    said = judge_paired(recording(1, slope=SLOPE), recording(1, name="sim.csv")).answer
+    assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("gyro_bias_temperature", "lacking")]
 
 
 @pytest.mark.parametrize(("rate", "least"), [(50.0, 3e-3), (400.0, 1.9e-3)])
