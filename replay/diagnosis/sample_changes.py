@@ -26,6 +26,9 @@ from stillcal.calib_core.streams.samples import Samples
 Change = Callable[[Samples], Samples]
 """Makes samples of one sensor as the recording's are."""
 
+REGULAR = 0.02
+"""Part of the repeats that all runs of the longest kind would make, by which fewer are as good as those."""
+
 MORE = SHOWS_MORE[0]
 """Relations of a simulation that has none of something, or less than the recording."""
 
@@ -156,15 +159,34 @@ def _share(one: Discrepancy, effect: str) -> float | None:
 
 
 def _repeating(one: Discrepancy, seed: int) -> Change | None:
-    """Give some samples the value of the one before."""
-    share = _share(one, "held_samples")
-    if share is None:
+    """Give some samples the value of the one before, no more in a row than the recording has."""
+    share, known = _share(one, "held_samples"), one.difference
+    if share is None or known is None:
         return None
+    longest = int(known.recorded.reference["longest"])
 
     def held(samples: Samples) -> Samples:
-        return held_at(samples, np.random.default_rng(seed).random(len(samples)) < share)
+        return held_at(samples, in_runs(len(samples), share, longest, np.random.default_rng(seed)))
 
     return held
+
+
+def in_runs(n: int, share: float, longest: int, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Choose a share of n samples by chance, at most `longest` in a row.
+
+    After each that is not chosen one more follows with one chance, again and again. Runs of a driver that
+    reads each value twice are all of one.
+    """
+    from scipy.optimize import brentq  # noqa: PLC0415 - heavy, and only here
+
+    mean, count = share / (1.0 - share), np.arange(1, longest + 1)
+    regular = mean >= (1.0 - REGULAR) * longest
+    goes_on = 1.0 if regular else float(brentq(lambda p: (p**count).sum() - mean, 0.0, 1.0))
+    runs = np.full(n, longest) if regular else np.minimum(rng.geometric(1.0 - goes_on, n) - 1, longest)
+    chosen = np.ones(n, dtype=np.bool_)
+    others = np.cumsum(np.concatenate([[0], 1 + runs]))
+    chosen[others[others < n]] = False
+    return chosen
 
 
 def held_at(samples: Samples, again: NDArray[np.bool_]) -> Samples:

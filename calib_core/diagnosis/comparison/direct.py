@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import Smalle
 from stillcal.calib_core.diagnosis.comparison.linear.wanted import transferable
 from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Key, Part, Quantity
 from stillcal.calib_core.diagnosis.direct import quantities, smallest
+from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.repeated_values import LEAST_SHARE as LEAST_HELD
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95, Measured
@@ -122,8 +123,9 @@ def measured_directly(exam: Examination, period: float = 0.0) -> dict[Key, tuple
     for stream in (s for s in exam.streams if not (s.silent or s.hidden)):
         for effect, measured in quantities.of_values(stream.samples).items():
             key, share = (effect, stream.sensor), _linear(measured, LEAST_HELD, 1.0)
-            part = Part("fraction", "1", 1)
-            out[key] = measured, _logarithm(key, part, share, LEAST_SHARE, stream.samples)
+            quantity = _logarithm(key, Part("fraction", "1", 1), share, LEAST_SHARE, stream.samples)
+            longest = float(repeats.usual_longest(stream.samples))
+            out[key] = measured, replace(quantity, reference={"longest": longest})
     return out
 
 
@@ -178,12 +180,13 @@ def _linear(measured: Measured, floor: float, unit: float) -> Measured:
 def _logarithm(key: Key, part: Part, measured: Measured, floor: float, samples: Samples) -> Quantity:
     """Return a number of 0 or more as a logarithmic quantity, below `floor` as the floor.
 
-    Where nothing lies within two standard deviations, the logarithm's reaches down to the floor.
+    Where nothing lies within two standard deviations, one of the logarithm reaches down to the floor, and two
+    as far up as two of the number.
     """
     value = max(measured.value, floor)
     error = measured.error / value
     if measured.value < 2.0 * measured.error:
-        error = max(error, float(np.log(value / floor)))
+        error = max(0.5 * float(np.log1p(2.0 * error)), float(np.log(value / floor)))
     return Quantity(
         *key, (part,), np.array([np.log(value)]), np.array([[error**2]]),
         np.array([TIMES]), np.array([ALIKE]), np.array([-1]), logarithmic=True,

@@ -178,7 +178,7 @@ def subtract(recorded: Quantity, simulated: Quantity) -> Difference:
     The difference may be on all axes or on one: the four cases are averaged, half of the prior on the first.
     """
     value = recorded.value - simulated.value
-    covariance = recorded.covariance + simulated.covariance
+    covariance = _beside(recorded, simulated) + _beside(simulated, recorded)
     noise = covariance + np.diag(recorded.tolerance**2)
     axes = [a for a in np.unique(recorded.axis_of) if a >= 0]
     single = [recorded.axis_of == a for a in axes] if len(axes) > 1 else []
@@ -187,6 +187,18 @@ def subtract(recorded: Quantity, simulated: Quantity) -> Difference:
     factors = _log_bayes_factors(value, noise, recorded.size * cases) + np.log(prior)[:, None]
     mixed = log_sum(factors) - float(np.log(SIZES.size))
     return Difference(recorded, simulated, value, covariance, mixed, log_sum(factors[:, 0]))
+
+
+def _beside(own: Quantity, other: Quantity) -> Array:
+    """Return the covariance (k, k) of a quantity beside another recording's.
+
+    Nothing has no logarithm. How far it is below the other's number goes by the error of the number itself,
+    e = floor (exp(2 sigma) - 1) / 2 with sigma the logarithm's, as a part of that other one.
+    """
+    if not own.none or other.none or bool((own.value >= other.value).any()):
+        return own.covariance
+    part = 0.5 * np.expm1(2.0 * own.sigma) * np.exp(own.value - other.value)
+    return np.diag(part**2)
 
 
 def _log_bayes_factors(value: Array, noise: Array, sizes: Array) -> Array:

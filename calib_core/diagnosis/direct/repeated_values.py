@@ -11,6 +11,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import of_shares
 from stillcal.calib_core.diagnosis.model.measurement import (
     DirectEvidence,
+    Index,
     Measured,
     direct_finding,
     of_counts,
@@ -58,6 +59,9 @@ TWICE = "samples delivered twice"
 MANY = 0.05
 """Part of the samples held beyond which spectrum and tails are not judged."""
 
+
+USUAL = 0.9
+"""Quantile of the runs of samples held that is the longest usual one."""
 
 NEAR = 2.5
 """Steps of an axis up to which a value is near another: one or two of them."""
@@ -188,7 +192,7 @@ class Repeats:
         alone = same.sum(axis=1)
         chance = judged * (alone / judged[:, None]).prod(axis=1)
         mixed = _mixed_steps(samples.xyz, same, float(together.sum()))
-        return cls(n, together, chance, judged, alone, _longest(every.ravel()), mixed)
+        return cls(n, together, chance, judged, alone, int(_runs(every.ravel()).max(initial=0)), mixed)
 
     @property
     def excess(self) -> float:
@@ -271,6 +275,16 @@ def _mixed_steps(xyz: Array, same: NDArray[np.bool_], together: float) -> bool:
     return len(np.unique(xyz, axis=0)) < COME_BACK * changes
 
 
-def _longest(same: NDArray[np.bool_]) -> int:
+def _runs(same: NDArray[np.bool_]) -> Index:
+    """Return how many of (n,) are true in a row, each time that any are."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], same.astype(np.int8), [0]])))
-    return int((edges[1::2] - edges[::2]).max(initial=0))
+    return np.asarray(edges[1::2] - edges[::2], dtype=np.int64)
+
+
+def usual_longest(samples: Samples) -> int:
+    """Return how many samples in a row repeat the one before at most, but for one time in ten.
+
+    Steps add some repeats to those that are held, and make longer runs of them.
+    """
+    runs = _runs(repeating(samples.xyz))
+    return int(np.quantile(runs, USUAL, method="lower")) if runs.size else 0

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.lib.stride_tricks import sliding_window_view
 
 from stillcal.calib_core.diagnosis.comparison.direct import why_not_shown
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, Relation, subtract
@@ -19,7 +20,7 @@ from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.condense import LongRecording
 from stillcal.replay.diagnosis.corrected import correct, with_echoes
 from stillcal.replay.diagnosis.given_simulation import with_own_values
-from stillcal.replay.diagnosis.sample_changes import low_passed
+from stillcal.replay.diagnosis.sample_changes import in_runs, low_passed
 from stillcal.replay.formats.claims import Claims
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import turned as shaken
@@ -329,7 +330,7 @@ def less(effect: str, sensor: str, recorded: float = 0.6, simulated: float = 0.4
     had = [
         Quantity(
             effect, sensor, (Part("number", "1", 1),), np.log([number]), np.array([[1e-4]]), np.ones(1),
-            np.full(1, 0.05), np.array([-1]), logarithmic=True, where=where,
+            np.full(1, 0.05), np.array([-1]), logarithmic=True, where=where, reference={"longest": 9.0},
         )
         for number in (recorded, simulated)
     ]  # fmt: skip
@@ -409,6 +410,16 @@ def test_values_are_held_until_as_many_are_as_in_the_recording() -> None:
     assert done.left_out == [] and np.array_equal(after.t, before.t)
     assert held.mean() == pytest.approx(1.0 - 0.4 / 0.6, abs=0.07)
     assert (after.xyz[1:][~held] == before.xyz[1:][~held]).all()
+
+
+@pytest.mark.parametrize(
+    ("share", "longest"), [(0.5, 1), (0.75, 3), (0.4, 1), (0.04, 3), (0.6, 4), (0.3, 20)]
+)
+def test_what_is_held_is_held_no_longer_than_in_the_recording(share: float, longest: int) -> None:
+    """Of a sensor read twice for each value runs of any length were put in, and its noise then differed."""
+    chosen = in_runs(50_000, share, longest, np.random.default_rng(3))
+    assert chosen.mean() == pytest.approx(share, abs=0.01)
+    assert not sliding_window_view(chosen, longest + 1).all(axis=1).any()
 
 
 def test_as_many_of_the_samples_that_are_left_are_held() -> None:

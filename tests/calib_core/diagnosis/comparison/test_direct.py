@@ -258,3 +258,25 @@ def test_coarse_values_in_one_attitude_are_a_difference_and_no_noise() -> None:
     for pair, relation in (((coarse, same), "lacking"), ((same, coarse), "superfluous")):
         found = compare(*pair, ("rec", "sim")).discrepancies
         assert [(d.effect, d.relation) for d in found] == [("accel_quantisation", relation)]
+
+
+@pytest.mark.parametrize("step", [0.0, 0.02])
+def test_every_value_twice_is_no_matter_of_doubt_beside_none(step: float) -> None:
+    """The logarithm of none at all was so unsure that it might have been half of the samples."""
+
+    def examined(seed: int, *, twice: bool) -> Examination:
+        noise = np.random.default_rng(seed).normal(0.0, 0.02, (6000, 3)) + np.array([0.1, 0.2, 9.8])
+        values = np.repeat(noise[::2], 2, axis=0) if twice else noise
+        values = np.rint(values / step) * step if step else values
+        samples = Samples(Sensor.ACCELEROMETER, frozen(np.arange(6000) / 50.0), frozen(values))
+        return examine(samples, None, sought=())
+
+    recorded, simulated = (
+        stamp_quantities(exam)["held_samples", "accel"]
+        for exam in (examined(1, twice=True), examined(2, twice=False))
+    )
+    assert recorded.reference["longest"] == 1.0 and simulated.none
+    difference = subtract(recorded, simulated)
+    assert posterior(difference.log_bayes_factor, 40) > 0.99 and difference.relation() == "lacking"
+    few = replace(recorded, value=simulated.value + 0.5)
+    assert posterior(subtract(few, simulated).log_bayes_factor, 40) < 0.5, "so few steps may make"
