@@ -87,7 +87,7 @@ class Fit:
         return {
             "p_before": self.p_before,
             **after,
-            "not_put_in": list(self.not_put_in),
+            "not_put_in": list(dict.fromkeys(self.not_put_in)),
             "still_different": left,
         }
 

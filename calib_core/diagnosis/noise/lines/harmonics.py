@@ -37,9 +37,13 @@ def with_harmonics(lines: Sequence[Finding], rate: float) -> list[Finding]:
             listed = ", ".join(f"{order} at {middle_hz(line):.4g} Hz" for order, line in harmonics)
             said[id(base)] = " ".join(filter(None, (f"It has harmonics: {listed}.", base.remark)))
         for order, line in harmonics:
-            own = order * middle_hz(base)
-            back = f", {own:.4g} Hz folded back" if own > rate / 2.0 else ""
-            said[id(line)] = f"It is harmonic {order} of the vibration at {middle_hz(base):.4g} Hz{back}."
+            own, of = (
+                order * middle_hz(base),
+                f"harmonic {order} of the vibration at {middle_hz(base):.4g} Hz",
+            )
+            # Folded back, a few of whole Hz meet by chance.
+            beyond = f"It may be {of}, {own:.4g} Hz folded back."
+            said[id(line)] = beyond if own > rate / 2.0 else f"It is {of}."
             known.add(id(line))
         rest = [line for line in rest if line is not base and id(line) not in known]
     return [replace(f, remark=said[id(f)]) for f in lines]

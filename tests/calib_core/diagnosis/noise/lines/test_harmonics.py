@@ -29,7 +29,7 @@ def test_harmonics_belong_to_their_vibration_also_folded_back() -> None:
     said = remarks(17.3, 34.6, 69.2)
     assert said[17.3].startswith("It has harmonics: 2 at 34.6 Hz, 4 at 30.8 Hz.")
     assert said[34.6] == "It is harmonic 2 of the vibration at 17.3 Hz."
-    assert said[30.8] == "It is harmonic 4 of the vibration at 17.3 Hz, 69.2 Hz folded back."
+    assert said[30.8] == "It may be harmonic 4 of the vibration at 17.3 Hz, 69.2 Hz folded back."
 
 
 def test_a_multiple_at_another_time_is_no_harmonic() -> None:
