@@ -98,6 +98,7 @@ def examine(
     covariates: Mapping[str, TimeSeries] | None = None,
     sought: Sequence[Hypothesis] | None = None,
     of_turns: Sequence[Stated] = (),
+    within: Bins | None = None,
     overview: Overview | None = None,
     delivered_twice: int = 0,
     progress: Callable[[float], None] = lambda _share: None,
@@ -107,7 +108,9 @@ def examine(
     covariates: further logged columns by name, which a bias may follow. sought: the slow effects of rests
     that may be there; None: all of them, those of turns and what has no name are searched for, which takes
     most of the time. A simulation that was made with known ones needs only to be measured; of_turns: those of
-    the rate of turn, about which its turns are then measured. overview: every second of the recording, where
+    the rate of turn, about which its turns are then measured. within: the rests of the recording whose motion
+    it was made of, outside which none is taken: noise is there twice, the recorded and the simulated one.
+    overview: every second of the recording, where
     the samples are only some of it; None where they are all. delivered_twice: samples that came twice and are
     here once. progress: is called with the share of the work that is done. A sensor without any noise is
     judged with that of a quiet one (`audible`).
@@ -123,6 +126,7 @@ def examine(
     # The noise that is put in hides the gap about the value that a sensor reads at rest.
     zones = [f for s, x in as_read.items() if s in silent and x is not None and (f := dead_zone(x, s))]
     bins = still_bins(accelerometer, gyroscope, events, seconds)
+    bins = bins if within is None else bins.within(within)
     made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled, silent=silent)
     made = _hidden_by_zones(replace(made, statements=[*map(Stated, zones), *made.statements]))
     progress(MEASURED)

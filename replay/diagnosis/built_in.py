@@ -57,7 +57,8 @@ def _played(
     corrected = named(with_known(case.played(case.phone()), case.beside), f"{BUILT_IN}, corrected")
     beside = {known.effect.name for known in case.beside}
     left_out = [effect for effect in case.not_in_phone() if effect not in beside]
-    measured = examined(corrected, show_stage, sought=_found_again(recorded), of_turns=_of_turns(recorded))
+    again, turning = _found_again(recorded), _of_turns(recorded)
+    measured = examined(corrected, show_stage, sought=again, of_turns=turning, within=recorded.bins)
     after = compare(recorded, measured, names, played=True)
     return Fit.of(before, after, left_out).without_own_constants(), after, corrected
 

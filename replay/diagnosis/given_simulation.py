@@ -118,7 +118,12 @@ def judge_examined(
         return Judged(recording, recorded, simulated, before, None, None, answer)
     simulation = _driven(simulation, recording, recorded.bins, before)
     made = _added(recording, simulation, before) if again is None else again(before, answer)
-    measured = examined(made.recording, show_stage, name=f"{simulation.name} with the differences put in")
+    measured = examined(
+        made.recording,
+        show_stage,
+        name=f"{simulation.name} with the differences put in",
+        within=recorded.bins if played else None,
+    )
     if again is None:
         measured = with_own_values(measured, simulated, of_other_values(before.discrepancies, made))
     after = compare(recorded, measured, names, played=played)

@@ -59,8 +59,9 @@ def examined(
     without: Collection[str] = (),
     sought: Sequence[Hypothesis] | None = None,
     of_turns: Sequence[Stated] = (),
+    within: Bins | None = None,
 ) -> Examination:
-    """Measure a recording. name: of what is shown; without, sought, of_turns: as for `diagnose.examine`.
+    """Measure a recording. name: of what is shown; the others: as for `diagnose.examine`.
 
     Raises NotSupported, with the recording's name, on too little data.
     """
@@ -76,6 +77,7 @@ def examined(
             covariates=recording.covariates,
             sought=sought,
             of_turns=of_turns,
+            within=within,
             overview=overview_of(recording),
             delivered_twice=recording.delivered_twice,
             progress=lambda done: show_stage(stage, done),

@@ -116,6 +116,13 @@ class Bins:
         kept["rest"] = _numbered(self.rest[keep])
         return replace(self, **kept)
 
+    def within(self, others: Bins) -> Bins:
+        """Return the bins whose middle lies in a rest of others."""
+        begins = (others.t - others.duration / 2)[np.diff(others.rest, prepend=-1) != 0]
+        ends = (others.t + others.duration / 2)[np.diff(others.rest, append=-1) != 0]
+        at = self.t[:, None]
+        return self.chosen(((begins <= at) & (at <= ends)).any(axis=1))
+
 
 def _numbered(rest: Index) -> Index:
     """Return which rest each bin (n,) lies in, those that have any bins numbered from 0 on."""

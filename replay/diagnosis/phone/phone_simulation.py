@@ -48,6 +48,6 @@ def judge_phone(
         return Corrected(with_known(played(phone_from(fixed.text)), case.beside), left_out)
 
     simulation = played(phone)
-    simulated = examined(simulation, show_stage)
+    simulated = examined(simulation, show_stage, within=recorded.bins)
     judged = judge_examined(recording, recorded, simulation, simulated, again, show_stage=show_stage)
     return replace(judged, case=case)

@@ -10,6 +10,7 @@ import pytest
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
 from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
+from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
@@ -151,3 +152,17 @@ def test_a_walk_that_was_found_is_not_played_again_as_other_slow_noise() -> None
         noise = made.gyro.noise
         slow.append(any([*noise.flicker, *noise.random_walk, *(any(g.sigma) for g in noise.gauss_markov)]))
     assert slow == [True, False]
+
+
+def test_what_was_no_rest_in_the_recording_is_none_where_it_is_played() -> None:
+    """Its noise is there twice: a sleeper's breathing was 'From 3465 to 4232 s the noise is 1.40 times'."""
+    t = np.arange(0.0, 900.0, 0.02)
+    noise = np.random.default_rng(4).normal(0.0, 0.02, (t.size, 3))
+    noise[(t > 300.0) & (t < 500.0)] *= np.sqrt(2.0)
+    played = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(noise + np.array([0.0, 0.0, STANDARD])))
+    every = still_bins(played, None)
+    rests = every.chosen((every.t < 300.0) | (every.t > 500.0))
+    rests = replace(rests, rest=(rests.t > 400.0).astype(np.int64))
+    doubled, alone = (examine(played, None, sought=(), within=one) for one in (every, rests))
+    assert [s.finding.effect for s in doubled.statements] == ["unknown"]
+    assert not alone.statements

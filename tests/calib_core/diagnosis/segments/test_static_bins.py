@@ -25,6 +25,16 @@ def bins(force: np.ndarray) -> Bins:
     return cut(Samples.checked(Sensor.ACCELEROMETER, np.arange(N) / 50.0, force), None)
 
 
+def test_bins_within_the_rests_of_others_have_their_middle_there() -> None:
+    every = bins(resting())
+    others = every.chosen((np.abs(every.t - 60.0) < 20.0) | (np.abs(every.t - 200.0) < 20.0))
+    split = replace(others, rest=(others.t > 100.0).astype(np.int64))
+    kept = every.within(split)
+    assert np.array_equal(kept.t, others.t), "not the bins between the two rests"
+    assert np.array_equal(every.within(others).t, every.t[(every.t > 40.0) & (every.t < 220.0)])
+    assert len(every.within(every.chosen(np.zeros(len(every), dtype=np.bool_)))) == 0
+
+
 def test_a_knock_ends_a_rest_and_is_in_no_bin() -> None:
     knocked = resting()
     knocked[7000:7040, 0] += 0.06 * np.sin(np.arange(40))
