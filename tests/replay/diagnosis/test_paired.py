@@ -430,6 +430,20 @@ def test_what_only_the_gyroscope_of_a_simulation_lacks_is_found() -> None:
     assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("gyro_bias_temperature", "lacking")]
 
 
+@pytest.mark.slow
+def test_bias_and_scale_of_which_a_pair_agrees_are_listed_as_both_have_them() -> None:
+    """They were neither stated, nor agreed, nor among what is not compared."""
+    bias = np.array([0.2, -0.3, 0.0])
+
+    def biased(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force + bias, rate
+
+    said = judge_paired(turned(1, biased), turned(2, biased)).answer
+    assert said["findings"] == []
+    agreed = {a["effect"]: a["parameters"] for a in said["agreed"]}
+    assert agreed["accel_bias"]["bias"]["value"] == pytest.approx(bias, abs=0.05)
+
+
 @pytest.mark.parametrize(("rate", "least"), [(50.0, 3e-3), (400.0, 1.9e-3)])
 def test_what_a_low_pass_delays_is_as_unsure_as_digital_and_analogue_ones_differ(
     rate: float, least: float

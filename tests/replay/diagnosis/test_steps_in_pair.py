@@ -52,7 +52,9 @@ def judged(real: Recording, sim: Recording, effect: Effect, grids: Sequence[Grid
         stated.append(Stated(finding, residuals.measured(effect, grid), residuals))
     exam = replace(examined(real, sought=()), bins=bins, sensors=sensors, turns=None, statements=stated)
     alike = Alignment(true, true, [], [], frozenset())
-    found = with_own_of_simulation(compare_in_pair(exam, alike), exam, examined(sim, sought=()))
+    found = with_own_of_simulation(
+        compare_in_pair(exam, alike), exam, examined(sim, sought=()), ("real", "sim")
+    )
     return sorted(found.discrepancies, key=lambda d: d.where.t_start)
 
 

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted, kind_
 from stillcal.calib_core.diagnosis.comparison.pair.vote import shares_alone
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
+from stillcal.calib_core.diagnosis.comparison.stated import differs, undecided, worth_telling
 from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -39,11 +40,14 @@ PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""
 
 
-def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Examination) -> Comparison:
+def with_own_of_simulation(
+    found: Comparison, exam: Examination, simulated: Examination, names: tuple[str, str]
+) -> Comparison:
     """Return a comparison that says of each difference what the simulation has of it by itself.
 
-    exam: of the pair; simulated: the simulation by itself, not searched. Where it does not show the effect
-    beyond chance, or cannot, it lacks what it differs by, as before.
+    Of bias and scale it also says which agree, and which are undecided. exam: of the pair; simulated: the
+    simulation by itself, not searched; names: of both. Where it does not show the effect beyond chance, or
+    cannot, it lacks what it differs by, as before.
     """
     wanted = [*wanted_of(exam), *_at_moments(exam), *_of_turns(found)]
     no_thermometer = simulated.bins.temperature is None and exam.bins.temperature is not None
@@ -54,7 +58,13 @@ def with_own_of_simulation(found: Comparison, exam: Examination, simulated: Exam
     own = every_linear_quantity(simulated, wanted, _references(differences))
     own += delay_quantity(simulated).values()
     turned = any(d.effect == "accel_scale" for d in found.discrepancies)
-    return replace(found, discrepancies=[_standing(d, own, turned=turned) for d in found.discrepancies])
+    unsure = [undecided(d, names) for d in found.compared if not d.agrees and not differs(d)]
+    return replace(
+        found,
+        discrepancies=[_standing(d, own, turned=turned) for d in found.discrepancies],
+        agreed=[*found.agreed, *_agreed(found, own)],
+        undecided=[*found.undecided, *unsure],
+    )
 
 
 def with_owner_of_unknown(
@@ -162,6 +172,30 @@ def _references(differences: Sequence[Difference]) -> dict[str, float]:
     return {d.recorded.sensor: d.recorded.reference[at] for d in differences if at in d.recorded.reference}
 
 
+def _agreed(found: Comparison, own: Sequence[Quantity]) -> list[Difference]:
+    """Return the constants of which the two agree, as both have them where the simulation shows them."""
+    alike = [(d, _own_of(d, own)) for d in found.compared if d.agrees]
+    both = [_with_own(apart, had) for apart, had in alike if had is not None]
+    return [d for d in both if worth_telling(d, frozenset())]
+
+
+def _with_own(apart: Difference, had: Quantity) -> Difference:
+    """Return a difference beside what the simulation itself has."""
+    more = replace(had, value=had.value + apart.value, covariance=had.covariance + apart.covariance)
+    return replace(apart, recorded=more, simulated=had)
+
+
+def _own_of(apart: Difference, own: Sequence[Quantity]) -> Quantity | None:
+    """Return what the simulation's own rests and turns show of a difference, laid out as that; or None."""
+    simulated = next((q for q in reversed(own) if _identity(q) == _identity(apart.recorded)), None)
+    if simulated is None:
+        return None
+    laid = _laid(simulated.value.size, apart.value.size)
+    return replace(
+        apart.recorded, value=laid @ simulated.value, covariance=laid @ simulated.covariance @ laid.T
+    )
+
+
 def _standing(one: Discrepancy, own: Sequence[Quantity], *, turned: bool) -> Discrepancy:
     """Return a difference beside what the simulation itself has, if it has anything.
 
@@ -170,17 +204,13 @@ def _standing(one: Discrepancy, own: Sequence[Quantity], *, turned: bool) -> Dis
     apart = one.difference
     if apart is None:
         return one
-    simulated = next((q for q in reversed(own) if _identity(q) == _identity(apart.recorded)), None)
-    if simulated is None:
+    had = _own_of(apart, own)
+    if had is None or not had.shows():
         return one
-    laid = _laid(simulated.value.size, apart.value.size)
-    value, covariance = laid @ simulated.value, laid @ simulated.covariance @ laid.T
-    had = replace(apart.recorded, value=value, covariance=covariance)
-    if not had.shows():
-        return one
+    value = had.value
     both = _scaled(value, apart.value) if one.effect.endswith("_scale") else value + apart.value
-    more = replace(had, value=both, covariance=covariance + apart.covariance)
-    symmetric = simulated.value.size < value.size or (turned and one.effect == "gyro_scale")
+    more = replace(had, value=both, covariance=had.covariance + apart.covariance)
+    symmetric = one.effect == "accel_scale" or (turned and one.effect == "gyro_scale")
     if symmetric and not _without_turn(more).shows():
         # The recording has none of what is sure, so the turn of all axes besides is the simulation's too.
         had = replace(apart.recorded, value=-apart.value, covariance=apart.covariance)
