@@ -57,7 +57,7 @@ def judge_simulation(recording: Recording, simulation: Recording, show_stage: Sh
         again = examined(right, show_stage, name=f"{right.name} with its axes put right")
         both = (right, again, simulation, simulated) if of_recording else (recording, recorded, right, again)
         judged = judge_examined(*both, show_stage=show_stage)
-        return _with_exchange(judged, exchange, own.other_axes, of_recording=of_recording)
+        return with_exchange(judged, exchange, own.other_axes, of_recording=of_recording)
     return judge_examined(recording, recorded, simulation, simulated, show_stage=show_stage)
 
 
@@ -76,7 +76,7 @@ def put_right(recording: Recording, exchange: Exchange) -> Recording:
     )
 
 
-def _with_exchange(judged: Judged, exchange: Exchange, shown: Finding, *, of_recording: bool) -> Judged:
+def with_exchange(judged: Judged, exchange: Exchange, shown: Finding, *, of_recording: bool) -> Judged:
     """Return what was judged with axes put right, and their exchange as findings beside it.
 
     shown: the exchange as turns show it.

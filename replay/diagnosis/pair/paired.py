@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.comparison.axes import exchange_of
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
@@ -27,7 +28,12 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import correct, with_echoes
-from stillcal.replay.diagnosis.given_simulation import of_other_values, with_own_values
+from stillcal.replay.diagnosis.given_simulation import (
+    of_other_values,
+    put_right,
+    with_exchange,
+    with_own_values,
+)
 from stillcal.replay.diagnosis.judged import (
     Judged,
     ShowStage,
@@ -39,6 +45,7 @@ from stillcal.replay.diagnosis.judged import (
 from stillcal.replay.diagnosis.pair.as_both import as_both, without_held_rows
 from stillcal.replay.diagnosis.pair.readings import (
     less,
+    nearer,
     readings_of,
     refuse_itself,
     refuse_other_motion,
@@ -94,6 +101,25 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     refuse_short(recording, simulation)
     refuse_other_motion(recording, simulation)
     pair = _Pair.of(recording, simulation, show_stage)
+    for of_recording in (True, False):
+        own, other = pair.exams if of_recording else pair.exams[::-1]
+        exchange = exchange_of(own, other)
+        if exchange is None:
+            continue
+        assert own.other_axes is not None, "it has an exchange"
+        wrong, true = (recording, simulation) if of_recording else (simulation, recording)
+        right = put_right(wrong, exchange)
+        if not nearer(right, wrong, true):  # the other sensor's axes are wrong
+            continue
+        both = (right, simulation) if of_recording else (recording, right)
+        judged = _judged(_Pair.of(*both, show_stage), show_stage)
+        return with_exchange(judged, exchange, own.other_axes, of_recording=of_recording)
+    return _judged(pair, show_stage)
+
+
+def _judged(pair: _Pair, show_stage: ShowStage) -> Judged:
+    """Judge a pair that is told in the same axes."""
+    recording, simulation = pair.recording, pair.simulation
     recorded, simulated = pair.exams
     low_passes = [d.difference for d in pair.values.discrepancies if d.difference and d.effect == LOW_PASS]
     own, other, unsure = as_both((recording, simulation), pair.exams, low_passes)
@@ -107,14 +133,15 @@ def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowSt
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated, pair.names)
     slow = with_owner_of_unknown(slow, exam, recorded, simulated)
     before = slow.and_of(pair.values)
-    fit = Fit.of(before, before)
+    after, left_out = None, list[str]()
     if before.discrepancies:
         show_stage(AGAIN, 0.0)
-        fit = Fit.of(before, *_corrected(pair, exam, slow, known, motion))
+        after, left_out = _corrected(pair, exam, slow, known, motion)
+    fit = Fit.of(before, after or before, left_out)
     stated = findings_stated([s.finding for s in recorded.statements], "recorded")
     stated |= findings_stated([s.finding for s in simulated.statements], "simulated")
     answer = answer_of(before, pair.names, fit, stated, exam.bins.temperature)
-    return Judged(recording, exam, simulated, before, None, None, answer)
+    return Judged(recording, exam, simulated, before, after, None, answer)
 
 
 def _corrected(

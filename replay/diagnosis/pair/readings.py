@@ -68,6 +68,16 @@ def refuse_other_motion(recording: Recording, simulation: Recording) -> None:
         )
 
 
+def nearer(right: Recording, as_read: Recording, other: Recording) -> bool:
+    """Whether what was put right of a recording reads the motion more as another recording does."""
+    pairs = zip(shared_streams(right, other), shared_streams(as_read, other), strict=True)
+    return all(now is was or _apart(now, true) < _apart(was, true) for (_, now, true), (_, was, _) in pairs)
+
+
+def _apart(own: Samples, other: Samples) -> float:
+    return float(((own.xyz - other.xyz) ** 2).sum())
+
+
 def refuse_shifted(recording: Recording, simulation: Recording) -> None:
     """Raise UserError where a simulation reads the motion by more earlier or later than filters delay.
 
