@@ -28,6 +28,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
 )
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import ASIDE, FAR_ASIDE, OWN, ZEROS, faint_lines
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, Stretches
+from stillcal.calib_core.diagnosis.stamps.timestamps import LONGEST_GAP
 from stillcal.calib_core.maths.rms import rms
 
 NEVER = 0.49
@@ -149,7 +150,9 @@ class _Rests:
         for row, (at, n) in enumerate(zip(within, seen.length, strict=True)):
             share[row, :n] = seen.taper[row, :n] / np.maximum(cover[at], EDGE)
             series[at] += weight[row] * (share[row, :n, None] * seen.tapered[row, :n])
-        rate = (places.t.size - 1) / float(places.t[-1] - places.t[0])
+        steps = np.diff(places.t)
+        inside = steps <= LONGEST_GAP * places.period
+        rate = float(inside.sum() / steps[inside].sum())
         return cls(rate, series, float(np.mean(cover > EDGE)), first, weight, noise, share)
 
     def sums(self, seen: Stretches, frequency: float) -> Array:

@@ -416,3 +416,14 @@ def test_stamps_are_evened_up_to_a_pause_and_no_further(scatter: float, batch: i
     off = places.t[places.there] - true
     assert float(np.abs(off - np.median(off)).max()) < (1.5e-4 if batch == 1 else 0.03)
     assert float(off.std()) < (3e-5 if batch == 1 else 3e-3)
+
+
+@pytest.mark.parametrize("pause", [3.0, 7.31])
+def test_pauses_make_no_second_line(pause: float) -> None:
+    """The rate of a recording with pauses was its samples over all of the time: 41 Hz were 39.05 Hz, too."""
+    t = np.arange(30_000) / 100.0
+    t = t + pause * (t // 60.0)
+    xyz = np.random.default_rng(5).normal(0.0, 2e-3, (t.size, 3)) + np.array([0.0, 0.0, 9.8])
+    xyz[:, 0] += 3e-3 * np.sin(2.0 * np.pi * 41.0 * t)
+    (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
+    assert middle_hz(line) == pytest.approx(41.0, abs=2e-3)
