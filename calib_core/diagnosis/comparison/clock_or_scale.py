@@ -43,7 +43,7 @@ def with_clock(
 def _with_clock(scale: Discrepancy, rates: Sequence[Difference], exam: Examination, name: str) -> Discrepancy:
     common = None if scale.difference is None else _common(scale.difference)
     gyroscope = exam.gyroscope
-    if common is None or gyroscope is None or arrivals(gyroscope) is not None:
+    if scale.difference is None or common is None or gyroscope is None or arrivals(gyroscope) is not None:
         return scale
     size = f"{100.0 * abs(common.value):.2g} %"
     if any(_as_large(common, rate) for rate in rates):
@@ -57,7 +57,9 @@ def _with_clock(scale: Discrepancy, rates: Sequence[Difference], exam: Examinati
         )
     else:
         return scale
-    note = f"It is alike on all axes, and {why}."
+    note = f"Within its errors the scale is alike on all axes, and {why}."
+    if _misaligned(scale.difference):
+        note += " The misalignment is not the clock's."
     return replace(scale, alternatives=(Alternative(CLOCK, 0.0, True),), note=note)
 
 
@@ -74,6 +76,14 @@ def _common(difference: Difference) -> Measured | None:
     left = value - common
     alike = log_tail(float(left @ weight @ left), one.size - 1) > ALIKE
     return Measured(common, error) if alike and abs(common) > SURE * error else None
+
+
+def _misaligned(difference: Difference) -> bool:
+    """Whether axes read more of each other than by chance, which no clock makes."""
+    other = [i for i in range(9) if i % 4]
+    apart = (difference.covariance + np.diag(difference.recorded.tolerance**2))[np.ix_(other, other)]
+    value = difference.value[other]
+    return bool(log_tail(float(value @ np.linalg.solve(apart, value)), len(other)) < ALIKE)
 
 
 def _as_large(common: Measured, rate: Difference) -> bool:

@@ -87,6 +87,9 @@ def test_a_scale_alike_on_all_axes_may_be_the_clocks() -> None:
         assert bool(said.alternatives) is may_be
         assert ("the stamps of real.csv are even" in said.note) is may_be
         assert ("samples that come 2 % faster than they say" in said.note) is may_be
+        # What x reads of y is no clock's, and was said to be alike on all axes.
+        axes_apart = may_be and not np.allclose(gyroscope.xyz, larger.xyz)
+        assert ("The misalignment is not the clock's." in said.note) is axes_apart
     effects = compare(examined(stamped[True], sought=()), simulation, ("real.csv", "sim.csv")).discrepancies
     assert "gyro_scale" not in {d.effect for d in effects}
 
