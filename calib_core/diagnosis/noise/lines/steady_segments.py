@@ -109,14 +109,29 @@ class Places:
         if len(samples) < 3 * LEAST_SAMPLES:
             return None
         period = sample_period(samples.t)
-        lost = np.zeros(len(samples) - 1) if bunched(samples.t) else Grid.of(samples.t, period).lost()
+        in_bursts = bunched(samples.t)
+        lost = np.zeros(len(samples) - 1) if in_bursts else Grid.of(samples.t, period).lost()
         place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
+        period = period if in_bursts else _own_period(samples.t, place, period)
         every = np.arange(place[-1] + 1)
         there = np.zeros(every.size, dtype=np.bool_)
         there[place] = True
         xyz = np.stack([np.interp(every, place, axis) for axis in samples.xyz.T], axis=1)
         t = np.interp(every, place, _evened(samples.t, place, period))
         return cls(period, t, xyz, there)
+
+
+def _own_period(t: Array, place: Index, period: float) -> float:
+    """Return how far apart places (n,) are by stamps t (n,), s: the usual period over times without a pause.
+
+    period: s, the usual interval. Of stamps that scatter it is a little off, and so were all frequencies.
+    """
+    count = max(min(round(EVEN / period), t.size // 4), 1)
+    pauses = np.concatenate([[0], np.cumsum(np.diff(t) > LONGEST_GAP * period)])
+    whole = pauses[count:] == pauses[:-count]
+    periods = np.sort((t[count:] - t[:-count])[whole] / (place[count:] - place[:-count])[whole])
+    middle = periods[periods.size // 4 : -(periods.size // 4) or None]
+    return float(middle.mean()) if middle.size else period
 
 
 def _evened(t: Array, place: Index, period: float) -> Array:

@@ -427,3 +427,16 @@ def test_pauses_make_no_second_line(pause: float) -> None:
     xyz[:, 0] += 3e-3 * np.sin(2.0 * np.pi * 41.0 * t)
     (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz)), "accel")
     assert middle_hz(line) == pytest.approx(41.0, abs=2e-3)
+
+
+def test_stamps_that_scatter_leave_a_line_where_it_is() -> None:
+    """Their usual interval was 0.26 % too long, and the frequency was sought beside the line: 32.987 Hz."""
+    rng, t = np.random.default_rng(7), np.arange(30_000) / 100.0
+    xyz = rng.normal(0.0, 2e-3, (t.size, 3)) + np.array([0.0, 0.0, 9.8])
+    xyz[:, 0] += 3e-3 * np.sin(2.0 * np.pi * 33.0 * t)
+    stamps = np.sort(t + rng.uniform(-4e-3, 4e-3, t.size))
+    places = Places.of(Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(xyz)))
+    assert places is not None and places.period == pytest.approx(0.01, rel=5e-5)
+    (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(xyz)), "accel")
+    assert middle_hz(line) == pytest.approx(33.0, abs=2e-3)
+    assert line.parameters["amplitude"].value[0] == pytest.approx(3e-3, abs=1e-4)
