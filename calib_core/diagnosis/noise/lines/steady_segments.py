@@ -31,6 +31,9 @@ LEAST_SAMPLES = 100
 EVEN, PAUSE = 5.0, 5.0
 """s over which stamps are evened, and that part two batches at least if a pause lies between them."""
 
+PART, STALLED = 0.5, 5.0
+"""s of which a median tells how late stamps are; usual deviations from it beyond which they have waited."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretches:
@@ -144,15 +147,37 @@ def _evened(t: Array, place: Index, period: float) -> Array:
 
     late = t - period * place
     pause = PAUSE if bunched(t) else LONGEST_GAP * period
-    ends = [0, *(np.flatnonzero(np.diff(t) > pause) + 1).tolist(), t.size]
     longest = 2 * round(EVEN / 2.0 / period) + 1
+    after = np.flatnonzero(np.diff(t) > pause) + 1
+    later = [np.median(late[k : k + longest]) - np.median(late[max(k - longest, 0) : k]) for k in after]
+    ends = [0, *after[np.array(later) > 0.5 * pause].tolist(), t.size]
     for first, last in pairwise(ends):
         own, count = late[first:last], min(longest, last - first)
         half = count // 2
+        own[:] = _without_stalls(own, round(PART / period))
         begin, end = _line(own[:count]), _line(own[last - first - count :])
         own[:] = uniform_filter1d(own, count)
         own[:half], own[last - first - half :] = begin[:half], end[count - half :]
     return np.asarray(np.maximum.accumulate(late + period * place))
+
+
+def _without_stalls(late: Array, part: int) -> Array:
+    """Return how late stamps are (n,), s, with those cut short that waited far longer than others do.
+
+    Where a delivery stalls, its samples tell nothing of the clock, and would move all within seconds of them.
+    part: samples of which each median is taken.
+    """
+    from scipy.ndimage import median_filter  # noqa: PLC0415 - the daemon stays light
+
+    parts, half = late.size // max(part, 1), round(EVEN / PART) // 2
+    if parts <= half:
+        return late
+    rows = np.array_split(np.arange(late.size), parts)
+    own = np.pad([np.median(late[r]) for r in rows], half, mode="reflect", reflect_type="odd")
+    own = median_filter(own, 2 * half + 1)[half:-half]
+    usual = np.interp(np.arange(late.size), [r.mean() for r in rows], own)
+    most = STALLED * float(np.median(np.abs(late - usual)))
+    return np.asarray(np.clip(late, usual - most, usual + most))
 
 
 def _line(values: Array) -> Array:

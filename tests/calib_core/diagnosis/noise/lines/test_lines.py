@@ -440,3 +440,17 @@ def test_stamps_that_scatter_leave_a_line_where_it_is() -> None:
     (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(xyz)), "accel")
     assert middle_hz(line) == pytest.approx(33.0, abs=2e-3)
     assert line.parameters["amplitude"].value[0] == pytest.approx(3e-3, abs=1e-4)
+
+
+def test_deliveries_that_stall_do_not_move_the_stamps_about_them() -> None:
+    """A steady line was said to come and go, as stamps within seconds of a delay were evened with it."""
+    rng, t = np.random.default_rng(1), np.arange(30_000) / 100.0
+    xyz = rng.normal(0.0, 2e-3, (t.size, 3)) + np.array([0.0, 0.0, 9.8])
+    xyz[:, 0] += 3e-3 * np.sin(2.0 * np.pi * 33.0 * t)
+    stamps = t.copy()
+    for at, waits in zip(np.arange(12.0, 290.0, 31.0), rng.uniform(0.1, 1.9, 9), strict=True):
+        late = (t >= at) & (t < at + waits)
+        stamps[late] = at + waits + 1e-4 * np.arange(late.sum())
+    (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(np.sort(stamps)), frozen(xyz)), "accel")
+    assert line.where.driver != COMES_AND_GOES
+    assert line.parameters["amplitude"].value[0] == pytest.approx(3e-3, abs=5e-5)
