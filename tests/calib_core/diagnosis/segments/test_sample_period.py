@@ -51,6 +51,12 @@ def test_samples_of_bursts_of_any_size_count_as_measured_at_equal_intervals() ->
     assert np.ptp(measured_evenly(t)[0] - np.arange(1000) / 100.0) < 0.005
 
 
+def test_few_bursts_do_not_tell_how_long_a_turn_lasts() -> None:
+    few = in_bursts()[:20]
+    even, unsure = measured_evenly(few)
+    assert (even == few).all() and unsure == 1.0
+
+
 @pytest.mark.parametrize(("rounded", "heel"), [(1e-3, 0.001), (1e-3, 0.002), (1e-4, 2e-4)])
 def test_rounded_stamps_in_bursts_are_no_samples_that_are_missing(rounded: float, heel: float) -> None:
     """Five at a time, 1 ms apart, and 95 ms of waiting are no 1000 Hz of which 94 in 100 samples are lost."""

@@ -454,3 +454,10 @@ def test_deliveries_that_stall_do_not_move_the_stamps_about_them() -> None:
     (line,) = tones(Samples(Sensor.ACCELEROMETER, frozen(np.sort(stamps)), frozen(xyz)), "accel")
     assert line.where.driver != COMES_AND_GOES
     assert line.parameters["amplitude"].value[0] == pytest.approx(3e-3, abs=5e-5)
+
+
+def test_stamps_of_a_clock_that_goes_faster_after_a_pause_stay_as_they_are_at_its_ends() -> None:
+    n = np.arange(20_000)
+    stamps = n * 0.01 + np.where(n < 10_000, 1e-5 * n, 60.0 - 1e-5 * n)
+    places = Places.of(Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.ones((n.size, 3)))))
+    assert places is not None and places.t == pytest.approx(stamps, abs=1e-4)
