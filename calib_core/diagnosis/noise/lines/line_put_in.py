@@ -14,6 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.lines.even_stamps import Even
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS, middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_estimate import most_power
@@ -64,8 +65,7 @@ def as_shown(
     others: `every_line` of these rests.
     """
     rate = 1.0 / sample_period(samples.t)
-    places = Places.of(samples)
-    t = samples.t if places is None else places.t[places.there]
+    t = Even.of(samples.t).t
     there = [folded(middle_hz(one), rate) for one in others]
     louder = samples.xyz
     placed: list[float] = []

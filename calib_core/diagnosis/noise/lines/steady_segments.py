@@ -7,15 +7,13 @@ would shift the phase of every line, gap by gap.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
-from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
-from stillcal.calib_core.diagnosis.stamps.timestamps import LONGEST_GAP, Grid
+from stillcal.calib_core.diagnosis.noise.lines.even_stamps import Even
 from stillcal.calib_core.streams.samples import Samples
 
 STEADY = {"accel": 0.1, "gyro": 0.03}
@@ -27,12 +25,6 @@ SHORTER = 0.92
 """Each length that is tried where a longer one finds no room is so much of that before."""
 
 LEAST_SAMPLES = 100
-
-EVEN, PAUSE = 5.0, 5.0
-"""s over which stamps are evened, and that part two batches at least if a pause lies between them."""
-
-PART, STALLED = 0.5, 5.0
-"""s of which a median tells how late stamps are; usual deviations from it beyond which they have waited."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,79 +103,13 @@ class Places:
         """Put samples in their places; None where they are too few for any stretches."""
         if len(samples) < 3 * LEAST_SAMPLES:
             return None
-        period = sample_period(samples.t)
-        in_bursts = bunched(samples.t)
-        lost = np.zeros(len(samples) - 1) if in_bursts else Grid.of(samples.t, period).lost()
-        place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
-        period = period if in_bursts else _own_period(samples.t, place, period)
+        period, place, stamps = Even.of(samples.t)
         every = np.arange(place[-1] + 1)
         there = np.zeros(every.size, dtype=np.bool_)
         there[place] = True
         xyz = np.stack([np.interp(every, place, axis) for axis in samples.xyz.T], axis=1)
-        t = np.interp(every, place, _evened(samples.t, place, period))
+        t = np.interp(every, place, stamps)
         return cls(period, t, xyz, there)
-
-
-def _own_period(t: Array, place: Index, period: float) -> float:
-    """Return how far apart places (n,) are by stamps t (n,), s: the usual period over times without a pause.
-
-    period: s, the usual interval. Of stamps that scatter it is a little off, and so were all frequencies.
-    """
-    count = max(min(round(EVEN / period), t.size // 4), 1)
-    pauses = np.concatenate([[0], np.cumsum(np.diff(t) > LONGEST_GAP * period)])
-    whole = pauses[count:] == pauses[:-count]
-    periods = np.sort((t[count:] - t[:-count])[whole] / (place[count:] - place[:-count])[whole])
-    middle = periods[periods.size // 4 : -(periods.size // 4) or None]
-    return float(middle.mean()) if middle.size else period
-
-
-def _evened(t: Array, place: Index, period: float) -> Array:
-    """Return stamps (n,), s, as a clock that goes evenly for seconds would have made them. place: (n,).
-
-    Stamps in whole milliseconds, or of batches, are off by a good part of a period: by them, what shakes at
-    one frequency would be noise at all others, far above the noise that samples in their places have.
-    """
-    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
-
-    late = t - period * place
-    pause = PAUSE if bunched(t) else LONGEST_GAP * period
-    longest = 2 * round(EVEN / 2.0 / period) + 1
-    after = np.flatnonzero(np.diff(t) > pause) + 1
-    later = [np.median(late[k : k + longest]) - np.median(late[max(k - longest, 0) : k]) for k in after]
-    ends = [0, *after[np.array(later) > 0.5 * pause].tolist(), t.size]
-    for first, last in pairwise(ends):
-        own, count = late[first:last], min(longest, last - first)
-        half = count // 2
-        own[:] = _without_stalls(own, round(PART / period))
-        begin, end = _line(own[:count]), _line(own[last - first - count :])
-        own[:] = uniform_filter1d(own, count)
-        own[:half], own[last - first - half :] = begin[:half], end[count - half :]
-    return np.asarray(np.maximum.accumulate(late + period * place))
-
-
-def _without_stalls(late: Array, part: int) -> Array:
-    """Return how late stamps are (n,), s, with those cut short that waited far longer than others do.
-
-    Where a delivery stalls, its samples tell nothing of the clock, and would move all within seconds of them.
-    part: samples of which each median is taken.
-    """
-    from scipy.ndimage import median_filter  # noqa: PLC0415 - the daemon stays light
-
-    parts, half = late.size // max(part, 1), round(EVEN / PART) // 2
-    if parts <= half:
-        return late
-    rows = np.array_split(np.arange(late.size), parts)
-    own = np.pad([np.median(late[r]) for r in rows], half, mode="reflect", reflect_type="odd")
-    own = median_filter(own, 2 * half + 1)[half:-half]
-    usual = np.interp(np.arange(late.size), [r.mean() for r in rows], own)
-    most = STALLED * float(np.median(np.abs(late - usual)))
-    return np.asarray(np.clip(late, usual - most, usual + most))
-
-
-def _line(values: Array) -> Array:
-    """Return the straight line (n,) through evenly spaced values (n,)."""
-    at = np.arange(values.size, dtype=np.float64) - (values.size - 1) / 2.0
-    return np.asarray(values.mean() + float(at @ values) / max(float(at @ at), 1.0) * at)
 
 
 def stretches(

@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise.lines import spectral_line
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import scaled_bessel
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import would_show
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import faint_lines
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import steady_period
@@ -461,3 +462,18 @@ def test_stamps_of_a_clock_that_goes_faster_after_a_pause_stay_as_they_are_at_it
     stamps = n * 0.01 + np.where(n < 10_000, 1e-5 * n, 60.0 - 1e-5 * n)
     places = Places.of(Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(np.ones((n.size, 3)))))
     assert places is not None and places.t == pytest.approx(stamps, abs=1e-4)
+
+
+def test_a_line_of_samples_in_bursts_has_its_size_and_is_put_in_as_it_is_sought() -> None:
+    """Evened over 5 s, the moments of bursts wandered so far that 41 Hz had half of its amplitude."""
+    rng, n = np.random.default_rng(6), 40_000
+    true, burst = np.arange(n) / 100.0, np.arange(n) // 7
+    waits = lfilter([1.0], [1.0, -0.98], rng.normal(0.0, 0.003, burst[-1] + 1))
+    delivered = true[np.minimum(burst * 7 + 6, n - 1)] + (waits - waits.min())[burst]
+    stamps = delivered + 1e-3 * (np.arange(n) % 7)
+    quiet = rng.normal(0.0, NOISE, (n, 3)) + np.array([0.0, 0.0, 9.8])
+    hums = quiet + np.outer(0.01 * np.sin(2.0 * np.pi * 41.0 * true), [1.0, 0.0, 0.0])
+    silent, loud = (Samples(Sensor.ACCELEROMETER, frozen(stamps), frozen(x)) for x in (quiet, hums))
+    (line,) = tones(loud, "accel")
+    assert line.parameters["amplitude"].value[0] == pytest.approx(0.01, rel=0.1)
+    assert would_show(silent, "accel", [line]) == [True] and tones(silent, "accel") == []
