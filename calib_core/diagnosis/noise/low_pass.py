@@ -42,6 +42,9 @@ MODEL = 0.02
 """Relative error of a cutoff for not knowing how the filter was made."""
 FLATTENED = 1.0
 """ln of power over a filter's, at frequencies that it suppresses: what is more is no noise of that filter."""
+OF_MEDIAN = 1.35
+"""Variance of the median of three numbers, times three, over that of one."""
+
 SHARED = 1.9
 """Numbers of a spectrum under overlapping Hann windows for each independent one."""
 
@@ -234,6 +237,15 @@ def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> 
     return np.asarray(power / power[:, :1])
 
 
+def _of_most_axes(typical: Array, band: NDArray[np.bool_]) -> Array:
+    """Return the power (F,) that most of the axes (F, 3) have, as parts of their medians in the band.
+
+    What shakes or is noise behind the filter on one axis alone is none of its shape.
+    """
+    level = np.median(typical[band], axis=0)
+    return np.asarray(level.mean() * np.median(typical / np.maximum(level, 1e-300), axis=1))
+
+
 def _low_pass(
     f: Array, typical: Array, band: NDArray[np.bool_], noise: tuple[float, float], averages: float
 ) -> LowPass | None:
@@ -245,7 +257,7 @@ def _low_pass(
     falls is motion, as of a vehicle.
     """
     rate, floor = noise
-    power = typical.mean(axis=1)
+    power = _of_most_axes(typical, band)
     if np.median(power[band]) <= 0.0:
         return None
     logs = np.log(np.maximum(power, np.finfo(np.float64).tiny))
@@ -261,8 +273,8 @@ def _low_pass(
         fits.append((float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)))
     least, k, order, misfit, shape, rounded = min(fits, key=lambda fit: fit[0])
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
-    # A median of spectra on three axes scatters by pi/2 over their number.
-    clean = least < CLEAN + 2.0 * np.pi / 2.0 / (3.0 * averages)
+    # A median of spectra scatters by pi/2 over their number, that of three axes by 1.35 over three.
+    clean = least < CLEAN + 2.0 * np.pi / 2.0 * OF_MEDIAN / (3.0 * averages)
     inside = f[band][0] < cutoffs[k] < cutoffs[-1]
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None

@@ -65,6 +65,20 @@ def test_what_a_faster_filter_leaves_folds_back(order: int, times: int, cutoff: 
     assert told.value == pytest.approx(cutoff, abs=2.5 * told.error) and told.error < 0.07 * cutoff
 
 
+@pytest.mark.parametrize("behind", ["white", "hum"])
+def test_what_one_axis_alone_has_behind_the_filter_hides_none(behind: str) -> None:
+    """A hum of one axis of a real gyroscope hid a filter of 25 Hz; white noise on one moved 31 Hz to 44."""
+    noise = np.random.default_rng(5).normal(size=(30, 1000, 3))
+    filtered = lfilter(*butter(2, 25.0, fs=RATE), noise, axis=1)
+    rng = np.random.default_rng(6)
+    white = rng.normal(size=(30, 1000))
+    hum = lfilter(*butter(1, [30.0, 33.0], "band", fs=RATE), white, axis=1)
+    filtered[:, :, 2] += white if behind == "white" else hum
+    found = judged(quiet(filtered))
+    assert found is not None and found.low_pass is not None
+    assert found.low_pass.cutoff.value == pytest.approx(25.0, rel=0.08)
+
+
 def test_white_noise_has_none() -> None:
     found = judged(quiet(WHITE))
     assert found is not None and found.low_pass is None
