@@ -100,6 +100,7 @@ def test_an_axis_that_never_changes_breaks_nothing() -> None:
     assert reasons["accel_nonlinearity", "accel"] == "1 attitude at rest, 6 are needed"
 
 
+@pytest.mark.slow
 def test_what_a_simulation_without_noise_has_is_found() -> None:
     """It ended in a traceback, and a settling was told as something that no name explains."""
     t = np.arange(12000) / 10.0

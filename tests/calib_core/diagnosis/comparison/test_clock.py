@@ -58,6 +58,7 @@ def of_scale(recording: Recording, simulation: Examination) -> Discrepancy:
     return next(d for d in found if d.effect == "gyro_scale")
 
 
+@pytest.mark.slow
 def test_a_scale_alike_on_all_axes_may_be_the_clocks() -> None:
     recording = report_days.recorded(report_days.phone_with(), 5, part_s=240.0)
     simulation = examined(report_days.recorded(report_days.phone_with(), 6, part_s=240.0), sought=())

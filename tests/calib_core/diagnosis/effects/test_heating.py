@@ -87,6 +87,7 @@ def test_a_thermometer_that_is_little_late_leaves_no_second_effect(
     assert found[0].effect == "gyro_bias_temperature" or drivers is None
 
 
+@pytest.mark.slow
 def test_what_is_small_on_an_axis_that_the_name_hardly_moves_is_an_effect_of_its_own() -> None:
     """Of all axes together it is 3 % of the name, which moves another axis."""
     _, day = heated(0.0)
