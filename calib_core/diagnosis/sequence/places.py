@@ -34,6 +34,11 @@ from stillcal.calib_core.maths.chi_squared import log_tail
 from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "count of the samples"
+NO_MOTION = "as no motion makes it"
+
+FEW = 3
+"""Overtones of a batch that as many vibrations may be, which simulators easily make at whole Hz."""
+
 LARGEST = 64
 """Samples in a batch, at most."""
 
@@ -149,21 +154,38 @@ def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     period, batched = batch([size], tones=1)
     beat, single = _beat(size, noise)
     other, offset = batch(noise.lines_of_values(), tones=max(len(noise.vibrations), 1))
-    nats, length, say = max(
+    half = 0.5 * len(samples) / max(float(samples.t[-1] - samples.t[0]), 1e-9)
+    nats, length, say, why = max(
         (
             batched,
             float(period),
             f"size of the {NAME[sensor]}'s noise at rest is another at one place of every",
+            NO_MOTION,
         ),
-        (single, 1.0 / beat, f"size of the {NAME[sensor]}'s noise at rest goes up and down in every"),
-        (offset, float(other), f"{NAME[sensor]}'s mean at rest is another at some places of every"),
+        (
+            single,
+            1.0 / beat,
+            f"size of the {NAME[sensor]}'s noise at rest goes up and down in every",
+            NO_MOTION,
+        ),
+        (
+            offset,
+            float(other),
+            f"{NAME[sensor]}'s mean at rest is another at some places of every",
+            _or_vibrations(other, 2.0 * half),
+        ),
     )
-    told = f"The {say} {length:.4g} samples, as no motion makes it."
-    half = 0.5 * len(samples) / max(float(samples.t[-1] - samples.t[0]), 1e-9)
+    told = f"The {say} {length:.4g} samples, {why}."
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, half), DRIVER)
     sizes = sized({"period_samples": (length, "samples")})
     seen = DirectEvidence(nats - float(np.log(3.0)))
     return direct_finding("unknown", sensor, [0, 1, 2], where, sizes, statement=told, seen=seen)
+
+
+def _or_vibrations(size: int, rate: float) -> str:
+    """Say what else makes the mean go with the places in a batch, at a rate in Hz."""
+    overtones = [f"{rate * k / size:.4g}" for k in range(1, (size - 1) // 2 + 1)]
+    return NO_MOTION if len(overtones) > FEW else f"or the phone vibrates at {' and '.join(overtones)} Hz"
 
 
 def batch(series: Sequence[Array], *, tones: int = 0) -> tuple[int, float]:

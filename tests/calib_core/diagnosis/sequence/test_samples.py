@@ -317,6 +317,18 @@ def test_a_batch_is_told_with_its_own_size(samples: int) -> None:
         assert period == samples and nats > 20.0
 
 
+@pytest.mark.parametrize(("size", "why"), [(5, "or the phone vibrates at 10 and 20 Hz"), (16, "no motion")])
+def test_vibrations_that_a_small_batch_may_be_are_told(size: int, why: str) -> None:
+    """Two of 10 and 20 Hz at 50 Hz were a batch of five samples, 'as no motion makes it'."""
+    rng, n = np.random.default_rng(1), 30_000
+    values = rng.normal(size=(n, 3)) + np.tile(rng.normal(0.0, 0.5, (size, 3)), (n // size + 1, 1))[:n]
+    noise = Noise.of(values, np.ones(n, dtype=np.bool_))
+    samples = Samples.checked(Sensor.ACCELEROMETER, np.arange(n) / 50.0, values)
+    assert noise is not None
+    found = by_count(samples, "accel", noise)
+    assert found is not None and f"every {size} samples" in found.statement and why in found.statement
+
+
 def test_noise_that_is_never_calm_on_all_axes_at_once_has_no_size_to_follow() -> None:
     rng, n = np.random.default_rng(2), 20_000
     loud = (np.arange(n) // 256 % 3)[:, None] == np.arange(3)
