@@ -68,7 +68,7 @@ def beside_steady(one: Finding, other: Finding, names: Sequence[str], of_recordi
     """
     if one.effect != "unknown":
         one, other, of_recording = other, one, not of_recording
-    also = f"In {names[int(of_recording)]} the vibration at {middle_hz(other):.4g} Hz is steady."
+    also = f"In {names[int(of_recording)]} the vibration at {middle_hz(other):.4g} Hz is steady instead."
     return replace(one, remark=" ".join(filter(None, (one.remark, also)))), of_recording
 
 

@@ -78,7 +78,9 @@ def test_a_line_that_comes_and_goes_in_one_of_two_is_told_once(gated: int) -> No
     (told,) = compared(*pair).discrepancies
     assert (told.effect, told.relation) == ("unknown", ("lacking", "superfluous")[gated])
     own = (told.recorded, told.simulated)[gated]
-    assert own is not None and own.remark.endswith(f"In {NAMES[1 - gated]} the vibration at 12 Hz is steady.")
+    assert own is not None and own.remark.endswith(
+        f"In {NAMES[1 - gated]} the vibration at 12 Hz is steady instead."
+    )
 
 
 def test_a_line_that_comes_and_goes_in_both_may_seem_steady_in_the_fainter_one() -> None:
@@ -177,7 +179,7 @@ def test_a_fan_that_wanders_is_told_beside_a_steady_one_and_beside_none() -> Non
     (found,) = compared(real, steady).discrepancies
     assert (found.effect, found.relation) == ("unknown", "lacking")
     assert found.recorded is not None
-    assert "In sim.csv the vibration at 13.1 Hz is steady." in found.recorded.remark
+    assert "In sim.csv the vibration at 13.1 Hz is steady instead." in found.recorded.remark
     (found,) = compared(steady, real).discrepancies
     assert (found.effect, found.relation) == ("unknown", "superfluous")
     assert differing(compared(real, resting(5, 200.0, {}))) == [("unknown", "lacking")]
