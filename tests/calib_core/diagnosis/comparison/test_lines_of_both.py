@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Parameter
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS
 from stillcal.calib_core.diagnosis.noise.lines.line_put_in import may_have, same_line, would_show
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -215,3 +216,18 @@ def test_a_line_whose_power_is_there_may_be_there_however_it_moves() -> None:
     brief = replace(line, parameters=line.parameters | {"fraction": Parameter(0.3, [0.25, 0.35], "1")})
     assert may_have(replace(none, xyz=frozen(for_a_while)), "accel", brief)
     assert not may_have(none, "accel", brief)
+
+
+def test_spells_have_their_share_of_the_power_and_what_wanders_is_at_no_frequency() -> None:
+    """A line of 10 mm/s^2 for 20 s of every 80 may be in rests that have it so, and in none of a fan."""
+    on, off = resting(1, 960.0, {11.0: 0.01}), resting(2, 960.0, {})
+    spells = (off.t % 80.0 < 20.0)[:, None]
+    (line,) = tones(on, "accel")
+    share = {"fraction": Parameter(0.25, [0.2, 0.3], "1")}
+    gated = replace(
+        line, where=replace(line.where, driver=COMES_AND_GOES), parameters=line.parameters | share
+    )
+    assert may_have(replace(off, xyz=frozen(np.where(spells, on.xyz, off.xyz))), "accel", gated)
+    assert not may_have(off, "accel", gated)
+    wanders = replace(line, where=replace(line.where, driver=WANDERS))
+    assert may_have(on, "accel", line) and not may_have(on, "accel", wanders)
