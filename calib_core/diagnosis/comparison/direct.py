@@ -184,14 +184,15 @@ def _logarithm(key: Key, part: Part, measured: Measured, floor: float, samples: 
     as far up as two of the number.
     """
     value = max(measured.value, floor)
-    error = measured.error / value
-    if measured.value < 2.0 * measured.error:
+    error, perhaps_none = measured.error / value, measured.value < 2.0 * measured.error
+    if perhaps_none:
         error = max(0.5 * float(np.log1p(2.0 * error)), float(np.log(value / floor)))
     return Quantity(
         *key, (part,), np.array([np.log(value)]), np.array([[error**2]]),
         np.array([TIMES]), np.array([ALIKE]), np.array([-1]), logarithmic=True,
         where=Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "time stamps"),
-        none=measured.value <= floor,
+        none=measured.value <= floor, error=measured.error if perhaps_none else 0.0,
+        counted=len(samples) if part.name == "fraction" else 0,
     )  # fmt: skip
 
 

@@ -70,7 +70,8 @@ class Quantity:
     `logarithmic`. covariance: (k, k). size: (k,) standard deviation of how far a simulation may be off.
     tolerance: (k,) standard deviation of a difference that two recordings of one phone have anyway. axis_of:
     (k,) the axis each number belongs to, -1 for none. reference: what the values are stated at. none: whether
-    what was measured is as good as nothing, of which the values are the logarithms of the limit.
+    what was measured is as good as nothing, of which the values are the logarithms of the limit. error: of
+    the number itself where that may be nothing, 0 elsewhere. counted: of how many it is a share, or 0.
     """
 
     effect: str
@@ -85,6 +86,8 @@ class Quantity:
     reference: Mapping[str, float] = field(default_factory=dict)
     where: Where | None = None
     none: bool = False
+    error: float = 0.0
+    counted: int = 0
 
     @property
     def sigma(self) -> Array:
@@ -192,13 +195,14 @@ def subtract(recorded: Quantity, simulated: Quantity) -> Difference:
 def _beside(own: Quantity, other: Quantity) -> Array:
     """Return the covariance (k, k) of a quantity beside another recording's.
 
-    Nothing has no logarithm. How far it is below the other's number goes by the error of the number itself,
-    e = floor (exp(2 sigma) - 1) / 2 with sigma the logarithm's, as a part of that other one.
+    Nothing has no logarithm. How far what may be nothing is below the other's number goes by the error of the
+    number itself, and by what chance makes of a count half as far up.
     """
-    if not own.none or other.none or bool((own.value >= other.value).any()):
+    if not own.error or bool((own.value >= other.value).any()):
         return own.covariance
-    part = 0.5 * np.expm1(2.0 * own.sigma) * np.exp(own.value - other.value)
-    return np.diag(part**2)
+    apart = np.exp(other.value) - np.exp(own.value)
+    chance = apart / (2.0 * own.counted) if own.counted else 0.0
+    return np.diag((own.error**2 + chance) * ((other.value - own.value) / apart) ** 2)
 
 
 def _log_bayes_factors(value: Array, noise: Array, sizes: Array) -> Array:

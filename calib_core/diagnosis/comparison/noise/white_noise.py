@@ -95,6 +95,7 @@ def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quan
         logarithmic=True,
         where=Where(*stream.span, (0.0, stream.still.rate / 2.0), AT_REST),
         none=errors is None,
+        error=SILENT * NONE_ERROR if errors is None else 0.0,
     )
 
 

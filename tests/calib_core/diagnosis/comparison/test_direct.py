@@ -18,7 +18,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     stamp_quantities,
     step_of_other,
 )
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, posterior, subtract
+from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity, posterior, subtract
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
@@ -280,3 +280,29 @@ def test_every_value_twice_is_no_matter_of_doubt_beside_none(step: float) -> Non
     assert posterior(difference.log_bayes_factor, 40) > 0.99 and difference.relation() == "lacking"
     few = replace(recorded, value=simulated.value + 0.5)
     assert posterior(subtract(few, simulated).log_bayes_factor, 40) < 0.5, "so few steps may make"
+
+
+@pytest.mark.parametrize(
+    ("recorded", "simulated", "differ"),
+    [((20, 12_000), (0, 1200), False), ((50, 12_000), (0, 1200), False), ((6, 6000), (0, 6000), False),
+     ((3000, 6000), (4, 6000), True), ((60, 6000), (4, 6000), True), ((300, 6000), (0, 1200), True)],
+)  # fmt: skip
+def test_none_of_few_samples_is_no_difference_from_few_of_many(
+    recorded: tuple[int, int], simulated: tuple[int, int], differ: bool
+) -> None:
+    """Where 20 of 12000 are held, 1200 have none one time in seven: told as a difference, and no doubt of it.
+
+    Three or four of 6000 may be none by chance, and were too unsure to differ from half of them.
+    """
+
+    def held(count: int, n: int) -> Quantity:
+        at = np.linspace(2, n - 2, count, dtype=np.int64) if count < n // 2 else np.arange(1, n, 2)
+        xyz = np.random.default_rng(n).normal(0.0, 0.02, (n, 3))
+        xyz[at] = xyz[at - 1]
+        samples = Samples(Sensor.ACCELEROMETER, frozen(np.arange(n) / 50.0), frozen(xyz))
+        return stamp_quantities(examine(samples, None, sought=()))["held_samples", "accel"]
+
+    few, many = held(*simulated), held(*recorded)
+    for pair in ((many, few), (few, many)):
+        probability = posterior(subtract(*pair).log_bayes_factor, 40)
+        assert probability > 0.9 if differ else probability < 0.5
