@@ -330,7 +330,7 @@ def less(effect: str, sensor: str, recorded: float = 0.6, simulated: float = 0.4
     had = [
         Quantity(
             effect, sensor, (Part("number", "1", 1),), np.log([number]), np.array([[1e-4]]), np.ones(1),
-            np.full(1, 0.05), np.array([-1]), logarithmic=True, where=where, reference={"longest": 9.0},
+            np.full(1, 0.05), np.array([-1]), logarithmic=True, where=where, reference={"longest": 2.0},
         )
         for number in (recorded, simulated)
     ]  # fmt: skip
@@ -410,6 +410,7 @@ def test_values_are_held_until_as_many_are_as_in_the_recording() -> None:
     assert done.left_out == [] and np.array_equal(after.t, before.t)
     assert held.mean() == pytest.approx(1.0 - 0.4 / 0.6, abs=0.07)
     assert (after.xyz[1:][~held] == before.xyz[1:][~held]).all()
+    assert not sliding_window_view(held, 3).all(axis=1).any(), "no longer than in the recording"
 
 
 @pytest.mark.parametrize(
