@@ -237,13 +237,18 @@ def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> 
     return np.asarray(power / power[:, :1])
 
 
-def _of_most_axes(typical: Array, band: NDArray[np.bool_]) -> Array:
-    """Return the power (F,) that most of the axes (F, 3) have, as parts of their medians in the band.
+def _of_most_axes(typical: Array, band: NDArray[np.bool_], averages: float) -> tuple[Array, float]:
+    """Return the power (F,) of all axes (F, 3) together, and its variance over that of a mean of three.
 
-    What shakes or is noise behind the filter on one axis alone is none of its shape.
+    Where they differ by more than chance, it is what most of them have as parts of their medians in the band:
+    what shakes, or is noise behind the filter, on one axis alone is none of its shape.
     """
-    level = np.median(typical[band], axis=0)
-    return np.asarray(level.mean() * np.median(typical / np.maximum(level, 1e-300), axis=1))
+    level = np.maximum(np.median(typical[band], axis=0), np.finfo(np.float64).tiny)
+    parts = typical / level
+    apart = float(np.log(np.maximum(parts[band], np.finfo(np.float64).tiny)).var(axis=1, ddof=1).mean())
+    if apart < CLEAN + 2.0 * np.pi / 2.0 / averages:
+        return np.asarray(typical.mean(axis=1)), 1.0
+    return np.asarray(level.mean() * np.median(parts, axis=1)), OF_MEDIAN
 
 
 def _low_pass(
@@ -257,7 +262,7 @@ def _low_pass(
     falls is motion, as of a vehicle.
     """
     rate, floor = noise
-    power = _of_most_axes(typical, band)
+    power, scatter = _of_most_axes(typical, band, averages)
     if np.median(power[band]) <= 0.0:
         return None
     logs = np.log(np.maximum(power, np.finfo(np.float64).tiny))
@@ -273,8 +278,8 @@ def _low_pass(
         fits.append((float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)))
     least, k, order, misfit, shape, rounded = min(fits, key=lambda fit: fit[0])
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
-    # A median of spectra scatters by pi/2 over their number, that of three axes by 1.35 over three.
-    clean = least < CLEAN + 2.0 * np.pi / 2.0 * OF_MEDIAN / (3.0 * averages)
+    # A median of spectra scatters by pi/2 over their number.
+    clean = least < CLEAN + 2.0 * np.pi / 2.0 * scatter / (3.0 * averages)
     inside = f[band][0] < cutoffs[k] < cutoffs[-1]
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
