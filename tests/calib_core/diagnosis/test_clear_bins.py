@@ -50,7 +50,9 @@ def test_the_rounding_of_an_axis_is_shared_whatever_the_other_axes_round_to() ->
     assert variance[:, 1].mean() - 1e-5 == pytest.approx(n / 5.0 * 2e-4**2, rel=0.1)
 
 
-@pytest.mark.parametrize("late", [0.0, 1.3, 2.5])
+@pytest.mark.parametrize(
+    "late", [pytest.param(0.0, marks=pytest.mark.slow), 1.3, pytest.param(2.5, marks=pytest.mark.slow)]
+)
 def test_a_bias_of_the_plug_is_named_though_its_events_come_late(late: float) -> None:
     """A second of a bin on the wrong side made it `unknown`: two levels in time, beside those of the plug."""
     accelerometer, gyroscope, events = plugged(late)

@@ -114,7 +114,11 @@ def test_a_share_of_an_effect_is_told_with_what_is_missing(share: float, relatio
 
 @pytest.mark.parametrize(
     ("of_recording", "foretold", "indistinguishable"),
-    [pytest.param(False, 1.0, True, marks=pytest.mark.slow), (True, 1.0, True), (True, 1e6, False)],
+    [
+        pytest.param(False, 1.0, True, marks=pytest.mark.slow),
+        pytest.param(True, 1.0, True, marks=pytest.mark.slow),
+        (True, 1e6, False),
+    ],
 )
 def test_what_may_be_the_effect_that_the_other_one_names_is_compared_as_that(
     of_recording: bool, foretold: float, indistinguishable: bool

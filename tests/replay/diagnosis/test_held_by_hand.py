@@ -75,7 +75,7 @@ def on_six_faces(rest_s: float, seed: int) -> stillcal.Recording:
     return both(accelerometer, gyroscope)
 
 
-@pytest.mark.parametrize("rest_s", [5.0, 16.0])
+@pytest.mark.parametrize("rest_s", [5.0, pytest.param(16.0, marks=pytest.mark.slow)])
 def test_six_faces_show_another_bias_of_either_sensor(rest_s: float) -> None:
     one, other = on_six_faces(rest_s, 1), on_six_faces(rest_s, 2)
     assert other.gyroscope is not None

@@ -58,6 +58,7 @@ def stepping() -> Samples:
     return Samples.checked(Sensor.ACCELEROMETER, t, frozen(force))
 
 
+@pytest.mark.slow
 def test_what_is_beside_the_constants_counts_as_much_as_it_is_probable() -> None:
     """What was hardly likely was taken for certain, and a scale that both had was told as different."""
     exam = examine(stepping(), None)

@@ -77,7 +77,9 @@ def read_late(late: float) -> SensorResiduals:
     return by_sensor(replace(bins, temperature=read), nulls.G)[1]
 
 
-@pytest.mark.parametrize(("late", "drivers"), [(2.0, ["temperature"]), (60.0, None)])
+@pytest.mark.parametrize(
+    ("late", "drivers"), [(2.0, ["temperature"]), pytest.param(60.0, None, marks=pytest.mark.slow)]
+)
 def test_a_thermometer_that_is_little_late_leaves_no_second_effect(
     late: float, drivers: list[str] | None
 ) -> None:
@@ -98,7 +100,7 @@ def test_what_is_small_on_an_axis_that_the_name_hardly_moves_is_an_effect_of_its
     assert [(f.effect, f.axes) for f in found] == [("gyro_bias_temperature", ["x"]), ("unknown", ["y"])]
 
 
-@pytest.mark.parametrize("late", [0.0, 10.0])
+@pytest.mark.parametrize("late", [0.0, pytest.param(10.0, marks=pytest.mark.slow)])
 def test_the_error_of_a_names_model_is_no_slow_noise(late: float) -> None:
     """What is fitted beside a name and not told is taken out of what wanders, too."""
     residuals = read_late(late)

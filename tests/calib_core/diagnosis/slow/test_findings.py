@@ -341,7 +341,7 @@ def sizes_in_time(found: Sequence[Finding]) -> Array:
     return np.array([f.parameters["step"].value for f in ordered])
 
 
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize("seed", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_two_steps_are_found_though_a_curve_without_a_name_explains_more_than_either(seed: int) -> None:
     """Either is sought again beside the other: the best moment of one alone is between the two."""
     residuals, sizes = two_steps(seed)
@@ -350,6 +350,7 @@ def test_two_steps_are_found_though_a_curve_without_a_name_explains_more_than_ei
     assert sizes_in_time(found) == pytest.approx(np.array(sizes), abs=2e-3)
 
 
+@pytest.mark.slow
 def test_a_second_effect_that_folds_call_otherwise_stays_without_its_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
