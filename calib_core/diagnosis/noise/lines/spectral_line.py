@@ -116,7 +116,8 @@ def tones(
         return []
     found, more = _of_any_length(rests, most)
     steady = _coherent(places, sensor, rests.coherent, found, most)
-    clear = [f for f in found if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
+    above = [f for f in found if middle_hz(f) > LEAST_LINE_HZ]
+    clear = [f for f in above if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
     rate = 1.0 / places.period
     if lines or more:

@@ -477,3 +477,9 @@ def test_a_line_of_samples_in_bursts_has_its_size_and_is_put_in_as_it_is_sought(
     (line,) = tones(loud, "accel")
     assert line.parameters["amplitude"].value[0] == pytest.approx(0.01, rel=0.1)
     assert would_show(silent, "accel", [line]) == [True] and tones(silent, "accel") == []
+
+
+def test_a_line_that_stands_out_at_four_hz_and_lies_below_is_none() -> None:
+    """Of a phone in a car one of 3.97 Hz was told, where none below 4 Hz is."""
+    assert heard(humming({3.98: 0.1})) == []
+    assert heard(humming({4.1: 0.1})) == [4.1]
