@@ -25,7 +25,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line_put_in import (
     same_line,
     would_show,
 )
-from stillcal.calib_core.diagnosis.noise.lines.spectral_line import SHORT
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import SHORT, AtRest
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stream import of_one_vibration
 
@@ -146,8 +146,9 @@ class LinesOf:
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
             calm = self._streams[sensor].calm
             shown = would_show(calm, sensor, absent, self._of(sensor))
+            short = AtRest.of(calm, sensor).short if any(shown) else None
             self._hidden[sensor] = [
-                f for f, seen in zip(absent, shown, strict=True) if not seen or may_have(calm, sensor, f)
+                f for f, seen in zip(absent, shown, strict=True) if not seen or may_have(short, f)
             ]
         return not_as_large("rests") if any(finding is f for f in self._hidden[sensor]) else None
 

@@ -23,10 +23,9 @@ from stillcal.calib_core.diagnosis.noise.lines.spectral_line import (
     LEAST_LINE_HZ,
     MOST_LINES,
     MOST_TRIED,
-    SHORT,
     tones,
 )
-from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, stretches
+from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Stretches
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
@@ -81,13 +80,12 @@ def as_shown(
     return [next(seen, None) for seen in again]
 
 
-def may_have(samples: Samples, sensor: str, line: Finding) -> bool:
-    """Whether the rests of one sensor have so much power at a line's frequency that it may be there, unseen.
+def may_have(seen: Stretches | None, line: Finding) -> bool:
+    """Whether rests have so much power at a line's frequency that it may be there, unseen.
 
     Real lines wander and come and go otherwise than those that are put in. Of one that wanders far no single
-    frequency has much.
+    frequency has much. seen: the short stretches of one sensor's rests, None for too few.
     """
-    seen = stretches(Places.of(samples), sensor, SHORT)
     if seen is None or line.where.driver == WANDERS:
         return False
     amplitude = np.asarray(line.parameters["amplitude"].value, dtype=np.float64)

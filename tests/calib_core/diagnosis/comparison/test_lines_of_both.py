@@ -12,10 +12,11 @@ from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.model.records import Parameter
+from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
+from stillcal.calib_core.diagnosis.noise.lines import line_put_in
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS
-from stillcal.calib_core.diagnosis.noise.lines.line_put_in import may_have, same_line, would_show
-from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
+from stillcal.calib_core.diagnosis.noise.lines.line_put_in import same_line, would_show
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 NAMES = ("real.csv", "sim.csv")
@@ -36,6 +37,10 @@ def compared(one: Samples, other: Samples) -> Comparison:
         return examine(samples, None, sought=())
 
     return compare(examined(one), examined(other), NAMES)
+
+
+def may_have(samples: Samples, sensor: str, line: Finding) -> bool:
+    return line_put_in.may_have(AtRest.of(samples, sensor).short, line)
 
 
 def differing(found: Comparison) -> list[tuple[str, str]]:
