@@ -110,10 +110,9 @@ def examine(
     most of the time. A simulation that was made with known ones needs only to be measured; of_turns: those of
     the rate of turn, about which its turns are then measured. within: the rests of the recording whose motion
     it was made of, outside which none is taken: noise is there twice, the recorded and the simulated one.
-    overview: every second of the recording, where
-    the samples are only some of it; None where they are all. delivered_twice: samples that came twice and are
-    here once. progress: is called with the share of the work that is done. A sensor without any noise is
-    judged with that of a quiet one (`audible`).
+    overview: every second of the recording, where the samples are only some of it; None where they are all.
+    delivered_twice: samples that came twice and are here once. progress: is called with the share of the work
+    that is done. A sensor without any noise is judged with that of a quiet one (`audible`).
     """
     refuse_too_little(accelerometer)
     claims, sound = claims or Claims(), sound or sound_phones()

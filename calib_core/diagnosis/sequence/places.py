@@ -220,11 +220,11 @@ def _least(series: Sequence[Array], period: int) -> int:
     Of one of five samples two overtones are sought, of which one may be a vibration; of ten there are four.
     """
     every = _overtones(series[0], period)
-    for least in range(3, period // 2 + 1):
+    for least in (size for size in range(3, period // 2 + 1) if period % size == 0):
         others = np.setdiff1d(every, _overtones(series[0], least))
         told = sum(float(line[others].sum()) for line in series)
         by_chance = float(log_tail(2.0 * told, 2 * len(series) * others.size))
-        if period % least == 0 and of_chance(by_chance, LARGEST) < 0.0:
+        if of_chance(by_chance, LARGEST) < 0.0:
             return least
     return period
 

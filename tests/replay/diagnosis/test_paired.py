@@ -430,41 +430,39 @@ def test_what_only_the_gyroscope_of_a_simulation_lacks_is_found() -> None:
     assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("gyro_bias_temperature", "lacking")]
 
 
+BIAS = np.array([0.2, -0.3, 0.0])
+
+
+def biased(force: Array, rate: Array) -> tuple[Array, Array]:
+    return force + BIAS, rate
+
+
 @pytest.mark.slow
 def test_exchanged_axes_of_one_of_a_pair_are_put_right_before_all_else() -> None:
     """Its bias was said to differ as well, by what the exchange makes of it."""
-    bias = np.array([0.2, -0.3, 0.0])
-
-    def sound(force: Array, rate: Array) -> tuple[Array, Array]:
-        return force + bias, rate
 
     def exchanged(force: Array, rate: Array) -> tuple[Array, Array]:
-        return (force + bias) * [1.0, -1.0, 1.0], rate
+        return (force + BIAS) * [1.0, -1.0, 1.0], rate
 
-    said = judge_paired(turned(1, exchanged), turned(2, sound)).answer
+    said = judge_paired(turned(1, exchanged), turned(2, biased)).answer
     assert [(f["effect"], f["sensor"], f["relation"]) for f in said["findings"]] == [
         ("axis_exchange", "accel", "lacking")
     ]
     assert "All else was compared with these axes put right." in said["findings"][0]["statement"]
     assert said["verdict"] == "identified" and said["fit"]["p_after"] > 0.01
     agreed = {a["effect"]: a["parameters"] for a in said["agreed"]}
-    assert agreed["accel_bias"]["bias"]["value"] == pytest.approx(bias, abs=0.05)
-    said = judge_paired(turned(2, sound), turned(1, exchanged)).answer
+    assert agreed["accel_bias"]["bias"]["value"] == pytest.approx(BIAS, abs=0.05)
+    said = judge_paired(turned(2, biased), turned(1, exchanged)).answer
     assert [(f["effect"], f["relation"]) for f in said["findings"]] == [("axis_exchange", "superfluous")]
 
 
 @pytest.mark.slow
 def test_bias_and_scale_of_which_a_pair_agrees_are_listed_as_both_have_them() -> None:
     """They were neither stated, nor agreed, nor among what is not compared."""
-    bias = np.array([0.2, -0.3, 0.0])
-
-    def biased(force: Array, rate: Array) -> tuple[Array, Array]:
-        return force + bias, rate
-
     said = judge_paired(turned(1, biased), turned(2, biased)).answer
     assert said["findings"] == []
     agreed = {a["effect"]: a["parameters"] for a in said["agreed"]}
-    assert agreed["accel_bias"]["bias"]["value"] == pytest.approx(bias, abs=0.05)
+    assert agreed["accel_bias"]["bias"]["value"] == pytest.approx(BIAS, abs=0.05)
 
 
 @pytest.mark.parametrize(("rate", "least"), [(50.0, 3e-3), (400.0, 1.9e-3)])

@@ -37,10 +37,8 @@ def with_harmonics(lines: Sequence[Finding], rate: float) -> list[Finding]:
             listed = ", ".join(f"{order} at {middle_hz(line):.4g} Hz" for order, line in harmonics)
             said[id(base)] = " ".join(filter(None, (f"It has harmonics: {listed}.", base.remark)))
         for order, line in harmonics:
-            own, of = (
-                order * middle_hz(base),
-                f"harmonic {order} of the vibration at {middle_hz(base):.4g} Hz",
-            )
+            own = order * middle_hz(base)
+            of = f"harmonic {order} of the vibration at {middle_hz(base):.4g} Hz"
             # Folded back, a few of whole Hz meet by chance.
             beyond = f"It may be {of}, {own:.4g} Hz folded back."
             said[id(line)] = beyond if own > rate / 2.0 else f"It is {of}."
