@@ -240,15 +240,25 @@ def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> 
 def _of_most_axes(typical: Array, band: NDArray[np.bool_], averages: float) -> tuple[Array, float]:
     """Return the power (F,) of all axes (F, 3) together, and its variance over that of a mean of three.
 
-    Where they differ by more than chance, it is what most of them have as parts of their medians in the band:
-    what shakes, or is noise behind the filter, on one axis alone is none of its shape.
+    Where they differ by more than chance, it is that of the two most alike, as parts of their medians in the
+    band: what shakes, or is noise behind the filter, on one axis alone is none of its shape. Where these
+    differ too, it is the median of all; beside an axis that has more it is the larger of the others.
     """
     level = np.maximum(np.median(typical[band], axis=0), np.finfo(np.float64).tiny)
     parts = typical / level
-    apart = float(np.log(np.maximum(parts[band], np.finfo(np.float64).tiny)).var(axis=1, ddof=1).mean())
-    if apart < CLEAN + 2.0 * np.pi / 2.0 / averages:
+    logs = np.log(np.maximum(parts[band], np.finfo(np.float64).tiny))
+    by_chance = CLEAN + 2.0 * np.pi / 2.0 / averages
+    if _apart(logs) < by_chance:
         return np.asarray(typical.mean(axis=1)), 1.0
+    alike = min(([0, 1], [0, 2], [1, 2]), key=lambda two: _apart(logs[:, two]))
+    if _apart(logs[:, alike]) < by_chance:
+        return np.asarray(level.mean() * parts[:, alike].mean(axis=1)), 3.0 / 2.0
     return np.asarray(level.mean() * np.median(parts, axis=1)), OF_MEDIAN
+
+
+def _apart(logs: Array) -> float:
+    """Return the variance of log power (F, k) between axes."""
+    return float(logs.var(axis=1, ddof=1).mean())
 
 
 def _low_pass(
