@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import ASIDE, OWN, lines
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.sequence.neighbours import LEAST_SPREAD, REACH, residual, spread
 from stillcal.calib_core.diagnosis.sequence.spectrum import (
     without_bands,
@@ -35,6 +36,7 @@ from stillcal.calib_core.streams.samples import Samples
 
 DRIVER = "count of the samples"
 NO_MOTION = "as no motion makes it"
+IN_STEP = "as motion makes it only if it keeps in step with the samples"
 
 FEW = 3
 """Overtones of a batch that as many vibrations may be, which simulators easily make at whole Hz."""
@@ -154,7 +156,7 @@ def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
     period, batched = batch([size], tones=1)
     beat, single = _beat(size, noise)
     other, offset = batch(noise.lines_of_values(), tones=max(len(noise.vibrations), 1))
-    half = 0.5 * len(samples) / max(float(samples.t[-1] - samples.t[0]), 1e-9)
+    half = 0.5 / max(sample_period(samples.t), 1e-9)
     nats, length, say, why = max(
         (
             batched,
@@ -185,7 +187,10 @@ def by_count(samples: Samples, sensor: str, noise: Noise) -> Finding | None:
 def _or_vibrations(size: int, rate: float) -> str:
     """Say what else makes the mean go with the places in a batch, at a rate in Hz."""
     overtones = [f"{rate * k / size:.4g}" for k in range(1, (size - 1) // 2 + 1)]
-    return NO_MOTION if len(overtones) > FEW else f"or the phone vibrates at {' and '.join(overtones)} Hz"
+    if len(overtones) > FEW:
+        return IN_STEP
+    listed = " and ".join(filter(None, [", ".join(overtones[:-1]), *overtones[-1:]]))
+    return f"or the phone vibrates at {listed} Hz"
 
 
 def batch(series: Sequence[Array], *, tones: int = 0) -> tuple[int, float]:

@@ -317,16 +317,29 @@ def test_a_batch_is_told_with_its_own_size(samples: int) -> None:
         assert period == samples and nats > 20.0
 
 
-@pytest.mark.parametrize(("size", "why"), [(5, "or the phone vibrates at 10 and 20 Hz"), (16, "no motion")])
-def test_vibrations_that_a_small_batch_may_be_are_told(size: int, why: str) -> None:
-    """Two of 10 and 20 Hz at 50 Hz were a batch of five samples, 'as no motion makes it'."""
+@pytest.mark.parametrize(
+    ("size", "why"),
+    [
+        (5, ", or the phone vibrates at 10 and 20 Hz."),
+        (7, ", or the phone vibrates at 7.143, 14.29 and 21.43 Hz."),
+        (10, ", as motion makes it only if it keeps in step with the samples."),
+    ],
+)
+@pytest.mark.parametrize("hole", [0.0, 300.0])
+def test_vibrations_that_a_small_batch_may_be_are_told(size: int, why: str, hole: float) -> None:
+    """Two of 10 and 20 Hz at 50 Hz were a batch of five samples, 'as no motion makes it'.
+
+    With a hole in the recording they were told as 5.3 and 10.6 Hz.
+    """
     rng, n = np.random.default_rng(1), 30_000
     values = rng.normal(size=(n, 3)) + np.tile(rng.normal(0.0, 0.5, (size, 3)), (n // size + 1, 1))[:n]
     noise = Noise.of(values, np.ones(n, dtype=np.bool_))
-    samples = Samples.checked(Sensor.ACCELEROMETER, np.arange(n) / 50.0, values)
+    stamps = np.arange(n) / 50.0 + np.where(np.arange(n) < n // 2, 0.0, hole)
+    samples = Samples.checked(Sensor.ACCELEROMETER, stamps, values)
     assert noise is not None
     found = by_count(samples, "accel", noise)
-    assert found is not None and f"every {size} samples" in found.statement and why in found.statement
+    assert found is not None and f"every {size} samples" in found.statement
+    assert found.statement.endswith(why) and found.where.band_hz == pytest.approx((0.0, 25.0))
 
 
 def test_noise_that_is_never_calm_on_all_axes_at_once_has_no_size_to_follow() -> None:
