@@ -299,8 +299,7 @@ def vibration(
     sizes = ", ".join(f"{AXES[a]} {amplitude[a]:.3g}" for a in axes)
     say = f"{vibration} at {frequency:.2f} Hz in the {NAME[sensor]}'s data, amplitude {sizes} {UNIT[sensor]}."
     found = direct_finding("vibration_tone", sensor, axes, where, parameters, statement=say, seen=evidence)
-    rate = 2.0 * float(seen.f[-1])
-    alias = f"It may be an alias of one at {rate - frequency:.1f} or {rate + frequency:.1f} Hz."
+    alias = f"It may be an alias of one at {seen.rate - frequency:.1f} or {seen.rate + frequency:.1f} Hz."
     return found and replace(found, remark=alias)
 
 

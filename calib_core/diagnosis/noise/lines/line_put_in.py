@@ -92,7 +92,7 @@ def may_have(seen: Stretches | None, line: Finding) -> bool:
     errors = np.ptp(np.asarray(line.parameters["amplitude"].ci95, dtype=np.float64), axis=-1)
     clearest = int(np.argmax(amplitude / np.maximum(errors, 1e-300)))
     share = float(np.asarray(line.parameters["fraction"].value))
-    own = folded(middle_hz(line), 2.0 * float(seen.f[-1]))
+    own = folded(middle_hz(line), seen.rate)
     about = apart_hz(middle_hz(line))
     most = most_power(seen, own - about, own + about, share)
     there = share if line.where.driver == COMES_AND_GOES else 1.0

@@ -249,7 +249,7 @@ def _lines(
     left = seen
     for one in known:
         left = left.without(middle_hz(one), max(apart, APART_HZ))
-    passed = (seen.f <= LEAST_LINE_HZ) | (seen.f >= 0.49 * 2.0 * float(seen.f[-1]))
+    passed = (seen.f <= LEAST_LINE_HZ) | (seen.f >= 0.49 * seen.rate)
     found: list[Finding] = []
     ratio = left.ratio()
     for _ in range(MOST_TRIED):

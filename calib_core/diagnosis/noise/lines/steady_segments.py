@@ -55,6 +55,11 @@ class Stretches:
         """How many of the frequencies `f` lie between two that a stretch of its length tells apart, (S,)."""
         return np.asarray(self.tapered.shape[1] / self.length, dtype=np.float64)
 
+    @property
+    def rate(self) -> float:
+        """The sample rate, Hz: of stretches of odd length no frequency is half of it."""
+        return float(self.f[1] * self.tapered.shape[1])
+
     def ratio(self) -> Array:
         """Return the ratio (S, F, 3) of the power to the mean of the free ones of its neighbours."""
         return _ratios(self.power, self.wider, self.free)
