@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.model.moments import History, Moments, at_sam
 from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
-from stillcal.calib_core.diagnosis.noise.lines.even_stamps import Even
+from stillcal.calib_core.diagnosis.noise.lines.even_stamps import evened
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
@@ -233,7 +233,7 @@ def _tone(samples: Samples, found: Finding) -> Array | None:
     frequency, amplitude = (np.asarray(found.parameters[n].value) for n in ("frequency", "amplitude"))
     if frequency >= rate_of(samples) / 2.0:
         return None
-    wave = np.sin(2.0 * np.pi * frequency * Even.of(samples.t).t) * _there(samples.t, found)
+    wave = np.sin(2.0 * np.pi * frequency * evened(samples.t).t) * _there(samples.t, found)
     return np.asarray(np.outer(wave, amplitude))
 
 

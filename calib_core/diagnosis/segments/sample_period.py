@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, once_per_array
 from stillcal.calib_core.maths.rms import rms
 
 HEELS = 0.5
@@ -38,6 +38,7 @@ def intervals(t: Array) -> Array:
     return np.asarray(steps[steps < max(PAUSE_S, PAUSE_PERIODS * float(np.median(steps)))])
 
 
+@once_per_array
 def bunched(t: Array) -> bool:
     """Whether stamps t (n,) come in bursts, so that the usual interval says nothing of the rate.
 
@@ -146,6 +147,7 @@ def _gaps(lost: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     return places, places + most[places].astype(np.int64)
 
 
+@once_per_array
 def rounded_to_intervals(t: Array) -> bool:
     """Whether stamps t (n,) are rounded to steps as long as the usual interval, as 833 Hz in ms.
 
@@ -191,6 +193,7 @@ def _equally_far_apart(lost: Array) -> bool:
     return bool(2 * others.size < off.size and 2 * np.count_nonzero(others == 1) <= others.size)
 
 
+@once_per_array
 def sample_period(t: Array) -> float:
     """Return the interval of stamps t (n,), s; 0 with fewer than two.
 

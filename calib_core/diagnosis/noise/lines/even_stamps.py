@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.arrays import Array, frozen, once_per_array
 from stillcal.calib_core.diagnosis.model.measurement import Index
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps.timestamps import LONGEST_GAP, Grid
@@ -29,14 +29,15 @@ class Even(NamedTuple):
     place: Index
     t: Array
 
-    @classmethod
-    def of(cls, t: Array) -> Even:
-        """Even stamps t (n,), s: samples that were lost leave their places empty."""
-        period, in_bursts = sample_period(t), bunched(t)
-        lost = np.zeros(t.size - 1) if in_bursts else Grid.of(t, period).lost()
-        place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
-        period = period if in_bursts else _own_period(t, place, period)
-        return cls(period, place, _evened(t, place, period, in_bursts=in_bursts))
+
+@once_per_array
+def evened(t: Array) -> Even:
+    """Even stamps t (n,), s: samples that were lost leave their places empty."""
+    period, in_bursts = sample_period(t), bunched(t)
+    lost = np.zeros(t.size - 1) if in_bursts else Grid.of(t, period).lost()
+    place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
+    period = period if in_bursts else _own_period(t, place, period)
+    return Even(period, place, frozen(_evened(t, place, period, in_bursts=in_bursts)))
 
 
 def _own_period(t: Array, place: Index, period: float) -> float:

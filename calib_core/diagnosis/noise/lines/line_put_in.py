@@ -14,7 +14,7 @@ import numpy as np
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.lines.even_stamps import Even
+from stillcal.calib_core.diagnosis.noise.lines.even_stamps import evened
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import folded
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS, middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_estimate import most_power
@@ -64,7 +64,7 @@ def as_shown(
     others: `every_line` of these rests.
     """
     rate = 1.0 / sample_period(samples.t)
-    t = Even.of(samples.t).t
+    t = evened(samples.t).t
     there = [folded(middle_hz(one), rate) for one in others]
     louder = samples.xyz
     placed: list[float] = []

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import Index
-from stillcal.calib_core.diagnosis.noise.lines.even_stamps import Even
+from stillcal.calib_core.diagnosis.noise.lines.even_stamps import evened
 from stillcal.calib_core.streams.samples import Samples
 
 STEADY = {"accel": 0.1, "gyro": 0.03}
@@ -108,7 +108,7 @@ class Places:
         """Put samples in their places; None where they are too few for any stretches."""
         if len(samples) < 3 * LEAST_SAMPLES:
             return None
-        period, place, stamps = Even.of(samples.t)
+        period, place, stamps = evened(samples.t)
         every = np.arange(place[-1] + 1)
         there = np.zeros(every.size, dtype=np.bool_)
         there[place] = True
