@@ -26,9 +26,6 @@ CHANCE = 0.01
 PAUSE_S, PAUSE_PERIODS = 1.0, 50.0
 """An interval of at least 1 s and 50 usual ones is a pause: nothing was sampled, or nothing of it is held."""
 
-NEAR = 5
-"""Bursts before and after one, by whose medians it is known whether some are lost there."""
-
 
 def intervals(t: Array) -> Array:
     """Return the intervals (m,) s of stamps t (n,) s, pauses left out."""
@@ -55,31 +52,6 @@ def bunched(t: Array) -> bool:
     waits = steps[steps > 1.5 * heel] / max(heel, 1e-12)
     off = waits - np.rint(waits)
     return heel <= 0.0 or waits.size == 0 or rms(off) > ON_GRID or _in_equal_times(steps, waits.size)
-
-
-def measured_evenly(t: Array) -> tuple[Array, float]:
-    """Return when samples (n,) were measured, at equal intervals, whose stamps t tell when bursts came.
-
-    And by what part their interval is unsure, one standard deviation: all of it where bursts are few.
-
-    The last samples of bursts are as late as their delivery. Where a burst and those after it are later than
-    those before it by half of what a usual one lasts and more, bursts are lost.
-    """
-    steps = np.diff(t)
-    last = np.flatnonzero(np.append(steps > HEELS * steps.mean(), True))
-    if last.size < 2 * NEAR:
-        return t, 1.0
-    sizes, waits = np.diff(last), np.diff(t[last])
-    period, usual = float(np.median(waits / sizes)), float(np.median(sizes))
-    late, missing = (t[last] - period * last) / (period * usual), np.zeros(t.size)
-    for k in np.flatnonzero(np.diff(late) > 0.5) + 1:
-        later = np.median(late[k : k + NEAR]) - np.median(late[max(k - NEAR, 0) : k])
-        missing[last[k - 1] + 1] = usual * max(np.rint(later), 0.0)
-    places = np.arange(t.size) + np.cumsum(missing)
-    line = np.polyfit(places[last], t[last], 1)
-    off = t[last] - np.polyval(line, places[last])
-    spread = float(places[last].std() * np.sqrt(last.size - 2.0)) * float(line[0])
-    return np.asarray(np.polyval(line, places), dtype=np.float64), rms(off) / spread
 
 
 def _in_equal_times(steps: Array, waits: int) -> bool:

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.segments.sample_period import bunched, measured_evenly
+from stillcal.calib_core.diagnosis.segments.bursts import measured_evenly
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.robust import means
 from stillcal.calib_core.streams.samples import Samples

@@ -9,14 +9,12 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array, frozen, once_per_array
 from stillcal.calib_core.diagnosis.model.measurement import Index
+from stillcal.calib_core.diagnosis.segments.bursts import PAUSE_S, bursts
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps.timestamps import LONGEST_GAP, Grid
 
 EVEN, OF_BURSTS = 5.0, 30.0
 """s over which stamps are evened, and those of bursts, of which each comes some 10 ms too late or early."""
-
-PAUSE = 5.0
-"""s that part two bursts at least if a pause lies between them."""
 
 PART, STALLED = 0.5, 5.0
 """s of which a median tells how late stamps are; usual deviations from it beyond which they have waited."""
@@ -34,19 +32,24 @@ class Even(NamedTuple):
 def evened(t: Array) -> Even:
     """Even stamps t (n,), s: samples that were lost leave their places empty."""
     period, in_bursts = sample_period(t), bunched(t)
-    lost = np.zeros(t.size - 1) if in_bursts else Grid.of(t, period).lost()
-    place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
-    period = period if in_bursts else _own_period(t, place, period)
+    if in_bursts:
+        place, last = bursts(t)
+        period = _own_period(t[last], place[last], period, OF_BURSTS, PAUSE_S)
+    else:
+        lost = Grid.of(t, period).lost()
+        place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
+        period = _own_period(t, place, period, EVEN, LONGEST_GAP * period)
     return Even(period, place, frozen(_evened(t, place, period, in_bursts=in_bursts)))
 
 
-def _own_period(t: Array, place: Index, period: float) -> float:
+def _own_period(t: Array, place: Index, period: float, even: float, pause: float) -> float:
     """Return how far apart places (n,) are by stamps t (n,), s: the usual period over times without a pause.
 
-    period: s, the usual interval. Of stamps that scatter it is a little off, and so were all frequencies.
+    period: s, the usual interval. Of stamps that scatter it is a little off, and so were all frequencies. It
+    is measured over `even` s at a time, between which no `pause` s lie.
     """
-    count = max(min(round(EVEN / period), t.size // 4), 1)
-    pauses = np.concatenate([[0], np.cumsum(np.diff(t) > LONGEST_GAP * period)])
+    count = max(min(round(even * t.size / (period * max(int(place[-1] - place[0]), 1))), t.size // 4), 1)
+    pauses = np.concatenate([[0], np.cumsum(np.diff(t) > pause)])
     first = np.arange(0, t.size - count, max(count // 8, 1))
     first = first[pauses[first + count] == pauses[first]]
     periods = np.sort((t[first + count] - t[first]) / (place[first + count] - place[first]))
@@ -63,7 +66,7 @@ def _evened(t: Array, place: Index, period: float, *, in_bursts: bool) -> Array:
     from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
 
     late = t - period * place
-    pause, even = (PAUSE, OF_BURSTS) if in_bursts else (LONGEST_GAP * period, EVEN)
+    pause, even = (PAUSE_S, OF_BURSTS) if in_bursts else (LONGEST_GAP * period, EVEN)
     longest = 2 * round(even / 2.0 / period) + 1
     after = np.flatnonzero(np.diff(t) > pause) + 1
     later = [np.median(late[k : k + longest]) - np.median(late[max(k - longest, 0) : k]) for k in after]

@@ -9,7 +9,8 @@ from stillcal.calib_core.diagnosis.comparison.sample_rate import rate as rate_of
 from stillcal.calib_core.diagnosis.direct.quantities import of_stamps
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.segments.sample_period import bunched, measured_evenly, sample_period
+from stillcal.calib_core.diagnosis.segments.bursts import measured_evenly
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
