@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.segments.sample_period import HEELS, intervals
+from stillcal.calib_core.diagnosis.segments.sample_period import HEELS, intervals, sample_period
 from stillcal.calib_core.maths.rms import rms
 
 FEWEST = 10
@@ -28,10 +28,14 @@ TOLD = 0.2
 
 
 class Bursts(NamedTuple):
-    """Samples delivered together, each in its place (n,): those of lost ones are empty. last: (B,) rows."""
+    """Samples delivered together, each in its place (n,): those of lost ones are empty.
+
+    last: (B,) rows of the last samples of bursts. period: s, from place to place.
+    """
 
     place: NDArray[np.int64]
     last: NDArray[np.int64]
+    period: float
 
 
 def bursts(t: Array) -> Bursts:
@@ -41,15 +45,16 @@ def bursts(t: Array) -> Bursts:
     as one or more usual ones last, so many are lost.
     """
     last = np.flatnonzero(np.append(np.diff(t) > HEELS * intervals(t).mean(), True))
-    place = np.arange(t.size)
-    if last.size < FEWEST:
-        return Bursts(place, last)
-    sizes, waits = np.diff(last), np.diff(t[last])
+    place, sizes, waits = np.arange(t.size), np.diff(last), np.diff(t[last])
+    paused = waits > PAUSE_S
+    if last.size < FEWEST or paused.all():
+        return Bursts(place, last, sample_period(t))
     period, usual = _period(sizes, waits), float(np.median(sizes))
-    lost = _lost((t[last] - period * last) / (period * usual), np.flatnonzero(waits > PAUSE_S) + 1)
+    lost = _lost((t[last] - period * last) / (period * usual), np.flatnonzero(paused) + 1)
     missing = np.zeros(t.size, dtype=np.int64)
     missing[np.concatenate([[0], last[:-1] + 1])] = np.rint(usual * lost)
-    return Bursts(place + np.cumsum(missing), last)
+    place += np.cumsum(missing)
+    return Bursts(place, last, float(waits[~paused].sum() / np.diff(place[last])[~paused].sum()))
 
 
 def _period(sizes: NDArray[np.int64], waits: Array) -> float:
@@ -86,7 +91,7 @@ def measured_evenly(t: Array) -> tuple[Array, float]:
 
     And by what part their interval is unsure, one standard deviation: all of it where bursts are few.
     """
-    place, last = bursts(t)
+    place, last, _ = bursts(t)
     if last.size < FEWEST:
         return t, 1.0
     line = np.polyfit(place[last], t[last], 1)

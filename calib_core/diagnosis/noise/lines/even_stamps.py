@@ -31,25 +31,23 @@ class Even(NamedTuple):
 @once_per_array
 def evened(t: Array) -> Even:
     """Even stamps t (n,), s: samples that were lost leave their places empty."""
-    period, in_bursts = sample_period(t), bunched(t)
+    in_bursts = bunched(t)
     if in_bursts:
-        place, last = bursts(t)
-        period = _own_period(t[last], place[last], period, OF_BURSTS, PAUSE_S)
+        place, _, period = bursts(t)
     else:
-        lost = Grid.of(t, period).lost()
-        place = np.concatenate([[0], np.cumsum(1 + lost.astype(np.int64))])
-        period = _own_period(t, place, period, EVEN, LONGEST_GAP * period)
+        usual = sample_period(t)
+        place = np.concatenate([[0], np.cumsum(1 + Grid.of(t, usual).lost().astype(np.int64))])
+        period = _own_period(t, place, usual)
     return Even(period, place, frozen(_evened(t, place, period, in_bursts=in_bursts)))
 
 
-def _own_period(t: Array, place: Index, period: float, even: float, pause: float) -> float:
+def _own_period(t: Array, place: Index, period: float) -> float:
     """Return how far apart places (n,) are by stamps t (n,), s: the usual period over times without a pause.
 
-    period: s, the usual interval. Of stamps that scatter it is a little off, and so were all frequencies. It
-    is measured over `even` s at a time, between which no `pause` s lie.
+    period: s, the usual interval. Of stamps that scatter it is a little off, and so were all frequencies.
     """
-    count = max(min(round(even * t.size / (period * max(int(place[-1] - place[0]), 1))), t.size // 4), 1)
-    pauses = np.concatenate([[0], np.cumsum(np.diff(t) > pause)])
+    count = max(min(round(EVEN / period), t.size // 4), 1)
+    pauses = np.concatenate([[0], np.cumsum(np.diff(t) > LONGEST_GAP * period)])
     first = np.arange(0, t.size - count, max(count // 8, 1))
     first = first[pauses[first + count] == pauses[first]]
     periods = np.sort((t[first + count] - t[first]) / (place[first + count] - place[first]))
