@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.segments.windows import (
     KNOCK,
     Windows,
@@ -22,6 +23,13 @@ nearly all day is shaken by more, a phone in a car or on a washing machine by le
 STILL_FORCE, STILL_RATE = 0.08, 0.03
 """m/s^2 and rad/s above what the recording's quietest windows have up to which a window is still."""
 
+STEADY_FORCE, TOLD = 0.03, 2.0
+"""m/s^2 by which the mean force of a still window may differ from the next one's, noise aside; times that
+from which on a turn must show: on the axis that shows it best it does so by 1 / sqrt(3) at the least."""
+
+CIRCLING = 1.2
+"""Times gravity: a force that leans by 45 degrees and more, in a bend or a centrifuge, is 1.41 times it."""
+
 RARE = 0.1
 """Part of a rest's windows that may be knocked: where it is more, coarse steps or a steady shake do it."""
 
@@ -36,13 +44,13 @@ def still_windows(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:
     floor = min(float(np.quantile(spread[enough], 0.1)), LOUDEST_FORCE) if enough.any() else 0.0
     still = enough & (spread < 3.0 * floor + STILL_FORCE)
     jump = np.abs(np.diff(force.mean, axis=0)).max(axis=1)
-    steady = jump < 0.03 + 6.0 * np.sqrt(
+    steady = jump < STEADY_FORCE + 6.0 * np.sqrt(
         np.minimum(spread[1:], spread[:-1]) ** 2 / np.maximum(force.count[1:], 1)
     )
     still[1:] &= steady
     still[:-1] &= steady
     if rate is not None and still.any():
-        still &= _not_turning(rate, still)
+        still &= _not_turning(rate, force, still)
     return np.asarray(still)
 
 
@@ -57,13 +65,32 @@ def without_knocks(still: NDArray[np.bool_], force: Windows, rate: Windows | Non
     return np.asarray(kept)
 
 
-def _not_turning(rate: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _not_turning(rate: Windows, force: Windows, still: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the windows (n,) in which the phone does not turn; still (n,): in which the force stays.
+
+    A rate unlike the others' is a bias that changed where its larger part is across the force, for a turn
+    would move that. About the force a phone may turn: on a turntable, in a vehicle. So it may about gravity
+    if the force leans on a circle, but by less than 45 degrees, or the force is longer than gravity.
+    """
     turn = np.sqrt(rate.variance.sum(axis=1))
     floor = min(float(np.quantile(turn[still], 0.1)), LOUDEST_RATE)
-    rest = np.median(rate.mean[still], axis=0)
+    away = rate.mean - np.median(rate.mean[still], axis=0)
     noise = 4.0 * floor / np.sqrt(np.maximum(rate.count, 1.0))
-    slow = np.abs(rate.mean - rest).max(axis=1) < STILL_RATE + noise
-    return np.asarray(slow & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
+    slow = np.abs(away).max(axis=1) < STILL_RATE + noise
+    length = np.linalg.norm(force.mean, axis=1)
+    along = np.abs((away * force.mean).sum(axis=1)) / np.maximum(length, 1e-9)
+    across = np.sqrt(np.maximum((away**2).sum(axis=1) - along**2, 0.0))
+    width = float(np.median(np.diff(force.t))) if force.t.size > 1 else 0.0
+    told = length * across * width > TOLD * _most_of_a_jump(force)
+    circles = length > CIRCLING * float(np.median(length[still]))
+    same = slow | (told & (across > along) & ~circles)
+    return np.asarray(same & (turn < 3.0 * floor + 2.0 * STILL_RATE) & (rate.count >= 3))
+
+
+def _most_of_a_jump(force: Windows) -> Array:
+    """Return by how much the mean force (n,) may change to the next window, m/s^2, at the most, at rest."""
+    spread = np.sqrt(force.variance.sum(axis=1))
+    return np.asarray(STEADY_FORCE + 6.0 * spread / np.sqrt(np.maximum(force.count, 1.0)))
 
 
 def still_seconds(force: Windows, rate: Windows | None) -> NDArray[np.bool_]:

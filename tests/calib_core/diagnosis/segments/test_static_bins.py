@@ -243,3 +243,34 @@ def test_the_mean_of_a_bin_that_swings_is_as_uncertain_as_it_is() -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_sensor_that_reads_nothing_rests_in_one_attitude() -> None:
     assert np.unique(bins(np.zeros((N, 3))).rest).size == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "still"),
+    [
+        ((0.05, 0.0, 0.0), True),  # no phone turns so and keeps gravity where it is
+        ((0.04, -0.05, 0.03), True),
+        ((0.0, 0.0, 0.05), False),  # a turntable turns so
+        ((0.02, 0.0, 0.05), False),  # and so does what leans in a bend
+    ],
+)
+def test_a_bias_that_changed_is_no_turn_where_gravity_stays(
+    change: tuple[float, float, float], still: bool
+) -> None:
+    """Two degrees a second and more are no noise of a bias, but what gravity contradicts is no turn."""
+    t, later = np.arange(N) / 50.0, (np.arange(N) >= 0.6 * N)[:, None]
+    rate = np.random.default_rng(2).normal(0.0, 1e-3, (N, 3)) + later * np.array(change)
+    seen = cut(
+        Samples.checked(Sensor.ACCELEROMETER, t, resting()), Samples.checked(Sensor.GYROSCOPE, t, rate)
+    )
+    assert ((seen.t > 190.0).sum() >= 8) == still
+    assert (seen.t < 180.0).sum() >= 14
+
+
+def test_what_leans_on_a_centrifuge_turns() -> None:
+    """Its force is 1.8 times gravity, and turns with it: that stays, though the rate is across it."""
+    t, later = np.arange(N) / 50.0, (np.arange(N) >= 0.6 * N)[:, None]
+    force = resting() + later * np.array([15.0, 0.0, 0.0])
+    rate = np.random.default_rng(2).normal(0.0, 1e-3, (N, 3)) + later * np.array([0.0, 0.0, 10.0])
+    seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
+    assert not (seen.t > 182.0).any()
