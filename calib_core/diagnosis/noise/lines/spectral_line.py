@@ -115,14 +115,18 @@ def tones(
     if places is None:
         return []
     found, more = _of_any_length(rests, most)
-    steady = _coherent(places, sensor, rests.coherent, found, most)
-    above = [f for f in found if middle_hz(f) > LEAST_LINE_HZ]
-    clear = [f for f in above if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
+    steady = _above_least(_coherent(places, sensor, rests.coherent, found, most))
+    clear = [f for f in _above_least(found) if f.where.band_hz[0] > BODY_HZ or _nats(f) > SURE]
     lines = [f for f in clear if not any(_same(f, one) for one in steady)] + steady
     rate = 1.0 / places.period
     if lines or more:
         lines = _with_wandering(lines, rests.moments, sensor, rate)
     return with_harmonics(sorted(lines, key=lambda f: -_nats(f))[:most], rate)
+
+
+def _above_least(lines: Sequence[Finding]) -> list[Finding]:
+    """Return those above `LEAST_LINE_HZ`: a line that stands out there may lie below."""
+    return [f for f in lines if middle_hz(f) > LEAST_LINE_HZ]
 
 
 def _with_wandering(lines: list[Finding], seen: Stretches | None, sensor: str, rate: float) -> list[Finding]:

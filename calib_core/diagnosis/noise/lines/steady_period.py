@@ -43,13 +43,14 @@ def steady_period(samples: Samples, sensor: str, rests: AtRest | None = None) ->
     if rests.places is None or left is None:
         return None
     lowest = max(LEAST_CYCLES / SHORT, LEAST_KEPT / (left.seen.whole[1] - left.seen.whole[0]))
-    found: list[Finding] = []
-    while len(found) < MOST_LINES:
-        one = left.clearest(sensor, (lowest, LEAST_LINE_HZ), [middle_hz(f) for f in found])
+    tried: list[Finding] = []
+    while len(tried) < MOST_LINES:
+        one = left.clearest(sensor, (lowest, LEAST_LINE_HZ), [middle_hz(f) for f in tried])
         if one is None or not left.in_step(one):
             break
-        found.append(one)
+        tried.append(one)
         left = CoherentSpectrum.of(rests.places, left.seen.without(middle_hz(one), APART_HZ))
+    found = [f for f in tried if middle_hz(f) <= LEAST_LINE_HZ]
     return _unknown(found) if found else None
 
 

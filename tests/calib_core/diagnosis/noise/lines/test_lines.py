@@ -507,3 +507,16 @@ def test_faster_lines_that_one_may_be_an_alias_of_are_counted_from_the_sample_ra
         steady = lying(line)
         (told,) = tones(replace(steady, t=frozen(steady.t * clock)), "accel")
         assert told.remark == "It may be an alias of one at 93.0 or 107.0 Hz."
+
+
+@pytest.mark.parametrize(("frequency", "vibrates"), [(3.9996, False), (3.9999, False), (4.00005, True)])
+def test_what_is_at_four_hz_is_a_vibration_or_a_steady_period_and_not_both(
+    frequency: float, vibrates: bool
+) -> None:
+    """A line in phase was told below 4 Hz too, and one at 4 Hz twice; a slower period beside it is told."""
+    samples = lying(humming({frequency: 0.05, 2.3: 0.02}))
+    rests = AtRest.of(samples, "accel")
+    period = steady_period(samples, "accel", rests)
+    told = [middle_hz(line) for line in tones(samples, "accel", rests)]
+    assert told == (pytest.approx([frequency], abs=2e-5) if vibrates else [])
+    assert period is not None and "2.3" in period.statement and ("4 Hz" in period.statement) != vibrates
