@@ -19,6 +19,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line import (
     reach_hz,
 )
 from stillcal.calib_core.diagnosis.noise.lines.line_put_in import (
+    CLOCKS,
     as_shown,
     every_line,
     may_have,
@@ -26,6 +27,7 @@ from stillcal.calib_core.diagnosis.noise.lines.line_put_in import (
     would_show,
 )
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import SHORT, AtRest
+from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as PERIOD
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.stream import of_one_vibration
 
@@ -133,14 +135,20 @@ class LinesOf:
         exam: of that recording; the others are those of `unstated`.
         """
         sensor = finding.sensor
-        if not is_line(finding) or sensor not in self._streams:
+        if not (is_line(finding) or finding.where.driver == PERIOD) or sensor not in self._streams:
             return None
         rate = 1.0 / max(self._period, sample_period(exam.accelerometer.t))
+        if finding.where.driver == PERIOD:
+            return next(
+                (may_be_same("vibration", line) for line in self._of(sensor) if _near(finding, line)), None
+            )
         for line in self._of(sensor):
             pair = middle_hz(finding), middle_hz(line)
             if same_line(*pair, rate, max(reach_hz(finding), reach_hz(line))):
-                folded = ", folded back" if max(pair) > rate / 2.0 else ""
-                return f"its vibration at {pair[1]:.4g} Hz may be the same one{folded}"
+                return may_be_same("vibration", line) + (", folded back" if max(pair) > rate / 2.0 else "")
+        period = self._streams[sensor].period
+        if period is not None and _near(finding, period):
+            return may_be_same("steady period", period)
         if sensor not in self._hidden:
             lines = [f for f in own if f.sensor == sensor and is_line(f)]
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
@@ -151,6 +159,17 @@ class LinesOf:
                 f for f, seen in zip(absent, shown, strict=True) if not seen or may_have(short, f)
             ]
         return not_as_large("rests") if any(finding is f for f in self._hidden[sensor]) else None
+
+
+def _near(one: Finding, other: Finding) -> bool:
+    """Whether a vibration and a steady period are one, which is near 4 Hz and told as either."""
+    pair = middle_hz(one), middle_hz(other)
+    return abs(pair[0] - pair[1]) < CLOCKS * max(pair)
+
+
+def may_be_same(what: str, line: Finding) -> str:
+    """Say that what another recording has may be a line, as it is called here."""
+    return f"its {what} at {middle_hz(line):.4g} Hz may be the same one"
 
 
 def not_as_large(where: str) -> str:

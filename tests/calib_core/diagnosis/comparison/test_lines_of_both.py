@@ -56,6 +56,20 @@ def test_a_short_rest_does_not_show_that_a_faint_line_is_absent(there: bool) -> 
     assert would_show(resting(2, 1500.0, {}), "accel", [line]) == [True]
 
 
+def test_one_vibration_at_four_hz_is_no_difference_whichever_side_of_it_it_is_told() -> None:
+    """As a vibration of 4.002 Hz and a steady period of 3.999 Hz it was lacking, or superfluous."""
+    above, below = resting(1, 400.0, {4.002: 0.03}), resting(2, 400.0, {3.999: 0.03})
+    for pair in ((above, below), (below, above)):
+        found = compared(*pair)
+        assert differing(found) == []
+        said = {one.effect: one.reason for one in found.not_compared if "the same one" in one.reason}
+        assert sorted(said) == ["unknown", "vibration_tone"]
+        assert "its vibration at 4.002 Hz may be the same one" in said["unknown"]
+        assert "its steady period at 3.999 Hz may be the same one" in said["vibration_tone"]
+    for other in ({}, {4.05: 0.03}):
+        assert ("unknown", "lacking") in differing(compared(below, resting(2, 400.0, other)))
+
+
 def test_a_line_that_is_absent_is_told_where_it_would_show_alone() -> None:
     faint = {11.0: 2.5e-3}
     assert differing(compared(resting(1, 1500.0, {}), resting(2, 1500.0, faint))) == [
