@@ -12,7 +12,7 @@ from scipy.signal import butter, lfilter
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, bandwidth, judged
+from stillcal.calib_core.diagnosis.noise.low_pass import OF_MEDIAN, Quiet, _of_most_axes, bandwidth, judged
 from stillcal.calib_core.diagnosis.noise.low_pass import quiet as quiet_of
 from stillcal.calib_core.diagnosis.stream import _noise_of
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -93,6 +93,30 @@ def test_of_few_rests_two_axes_that_are_alike_tell_the_cutoff_as_it_is(behind: f
         assert found is not None and found.low_pass is not None
         told.append(found.low_pass.cutoff.value)
     assert np.mean(told) == pytest.approx(20.0, abs=0.4)
+
+
+def test_axes_that_differ_by_chance_are_taken_together_and_one_that_differs_by_more_is_left_out() -> None:
+    """The median of three alike axes scatters more than their mean: white noise had a filter by it."""
+    rng, band = np.random.default_rng(3), np.arange(200) >= 40
+    size, hum = np.array([1.0, 2.0, 4.0]), np.where(np.arange(200) % 10 == 0, np.exp(2.5), 1.0)
+
+    def seen(averages: float, scatter: float, more: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        power = size * np.exp(scatter * rng.normal(size=(200, 3)))
+        power[:40] *= [1.0, 1.0, 1e3]
+        return power * more, *_of_most_axes(power * more, band, averages)
+
+    one, two = (np.stack([np.ones(200), *more], axis=1) for more in ((np.ones(200), hum), (hum, 1.0 / hum)))
+    for averages, scatter in ((27.0, np.sqrt(0.5 * np.pi / 27.0)), (1e4, 0.1)):
+        power, together, variance = seen(averages, scatter, np.ones((200, 3)))
+        assert together == pytest.approx(power.mean(axis=1)) and variance == 1.0
+    power, together, variance = seen(27.0, np.sqrt(0.5 * np.pi / 27.0), one)
+    level = np.median(power[band], axis=0)
+    assert together == pytest.approx(level.mean() * (power / level)[:, :2].mean(axis=1)) and variance == 1.5
+    power, together, variance = seen(1e4, 0.01, two)
+    level = np.median(power[band], axis=0)
+    assert (
+        together == pytest.approx(level.mean() * np.median(power / level, axis=1)) and variance == OF_MEDIAN
+    )
 
 
 def test_white_noise_has_none() -> None:

@@ -322,6 +322,7 @@ def test_a_batch_is_told_with_its_own_size(samples: int) -> None:
     [
         (5, ", or the phone vibrates at 10 and 20 Hz."),
         (7, ", or the phone vibrates at 7.143, 14.29 and 21.43 Hz."),
+        (8, ", or the phone vibrates at 6.25, 12.5 and 18.75 Hz."),
         (10, ", as motion makes it only if it keeps in step with the samples."),
     ],
 )
