@@ -70,6 +70,22 @@ def test_one_vibration_at_four_hz_is_no_difference_whichever_side_of_it_it_is_to
         assert ("unknown", "lacking") in differing(compared(below, resting(2, 400.0, other)))
 
 
+def test_a_band_that_may_hide_a_line_of_the_other_recording_is_no_absence_of_it() -> None:
+    """Its rests would show the line elsewhere, but have as much power at its own frequency."""
+    plain, rng = resting(2, 400.0, {}), np.random.default_rng(4)
+    phase = 2.0 * np.pi * 11.0 * plain.t + np.cumsum(rng.normal(0.0, 0.2, plain.t.size))
+    band = replace(plain, xyz=frozen(plain.xyz + np.outer(0.03 * np.sin(phase), [1.0, 0.0, 0.0])))
+    steady = resting(1, 400.0, {11.0: 0.006})
+    (line,) = tones(steady, "accel")
+    assert tones(band, "accel") == [] and would_show(band, "accel", [line]) == [True]
+    for pair in ((steady, band), (band, steady)):
+        found = compared(*pair)
+        assert "vibration_tone" not in [effect for effect, _ in differing(found)]
+        assert "not show one of this size" in next(
+            one.reason for one in found.not_compared if one.effect == "vibration_tone"
+        )
+
+
 def test_a_line_that_is_absent_is_told_where_it_would_show_alone() -> None:
     faint = {11.0: 2.5e-3}
     assert differing(compared(resting(1, 1500.0, {}), resting(2, 1500.0, faint))) == [
