@@ -142,3 +142,23 @@ def test_far_samples_of_all_axes_at_once_have_no_name_and_knocks_are_none(lastin
     if found is not None:
         assert (found.effect, found.axes) == ("unknown", ["x", "y", "z"])
         assert found.where.driver == "outliers of several axes at once"
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("sided", [False, True])
+def test_taps_in_some_of_the_rests_are_no_noise(seed: int, sided: bool) -> None:
+    """Somebody types beside the phone for a quarter of the time; one axis feels it, for a sample at 25 Hz."""
+    rng = np.random.default_rng(seed)
+    values = rng.normal(size=(50000, 3))
+    typed = np.flatnonzero(rng.random(12500) < 0.02) + 15000
+    sign = 1.0 if sided else rng.choice([-1.0, 1.0], typed.size)
+    values[typed, 2] += sign * rng.lognormal(1.5, 0.5, typed.size)
+    assert said(values) is None
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_tails_in_all_rests_are_noise_though_their_levels_differ(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    level = np.repeat(rng.uniform(1.0, 1.2, 100), 500)[:, None]
+    found = said(level * rng.standard_t(3.5, (50000, 3)))
+    assert found is not None and found.effect == "noise_heavy_tailed"
