@@ -46,6 +46,9 @@ LEAST_RESTS = 10
 LEAST_BY_FORCE = 0.12
 """Natural logarithm of two levels by which noise must follow the force."""
 
+MOST_LEVERAGE = 0.5
+"""Leverage of a rest above which its own level makes most of what the curve says there."""
+
 LEAST_RANGE = 1.0
 """Kelvin that a temperature must go through for noise to follow it."""
 
@@ -156,13 +159,19 @@ class ByForce:
 def parabola_of_force(level: Array, force: Array, by_chance: Array) -> ByForce:
     """Return the parabola of levels (n,) over a force (n,), and how it foretells rests left out.
 
-    by_chance: the variance (n,) that the level of each rest has by chance alone.
+    A rest in which the curve goes where that rest has it says nothing of the others: it may be the one that
+    is shaken. by_chance: the variance (n,) that the level of each rest has by chance alone.
     """
     design, free = _parabola(force), level.size - 3
     left = level - design @ _least_squares(design, level)
     between = max(float((left**2).sum()) / free - float(by_chance.mean()), 0.0)
     weight = 1.0 / np.sqrt(between + by_chance)
     curve = _least_squares(design * weight[:, None], level * weight)
+    sole = _leverage(design * weight[:, None]) > MOST_LEVERAGE
+    if sole.any():
+        if (~sole).sum() < LEAST_RESTS:
+            return ByForce(0.0, 0.0, HeldOut(0.0, 0.0, 0.0), curve)
+        return parabola_of_force(level[~sole], force[~sole], by_chance[~sole])
     fitted, mean = design @ curve, np.average(level, weights=weight**2)
     without, within = (float((((level - said) * weight) ** 2).sum()) for said in (mean, fitted))
     chance = log_tail(0.5 * (without - within) * free / max(within, 1e-300), 2, free)
@@ -220,6 +229,11 @@ def _chance(spectrum: Spectra, rows: NDArray[np.bool_]) -> float:
     power = flat[spectrum.band]
     count = float((power.sum(axis=0) ** 2 / np.maximum((power**2).sum(axis=0), 1e-300)).sum())
     return 0.5 * float(np.sqrt(SHARED / (np.median(spectrum.averages[rows]) * max(count, 1.0))))
+
+
+def _leverage(design: Array) -> Array:
+    """Return the part (n,) of each observation in what is fitted there."""
+    return np.asarray((np.linalg.qr(design)[0] ** 2).sum(axis=1))
 
 
 def _least_squares(design: Array, level: Array) -> Array:

@@ -134,6 +134,18 @@ def test_one_short_rest_far_from_the_others_is_no_parabola_more_often_than_state
     assert beyond <= 17  # 7 are expected: one in a thousand such tests finds more
 
 
+def test_one_shaken_rest_in_another_attitude_than_all_others_is_no_parabola() -> None:
+    """All others lie flat; that one, in a car and 1.2 times as loud, tells by itself where the curve goes."""
+    rng = np.random.default_rng(1)
+    by_chance = np.full(27, 1e-4)
+    force, level = np.r_[rng.normal(0.0, 0.02, 26), -0.2], rng.normal(0.0, 0.02, 27)
+    level[-1] += 0.2
+    assert parabola_of_force(level, force, by_chance).nats < np.log(150.0)
+    force[20:] = rng.uniform(-0.25, -0.15, 7)
+    level[20:26] += 0.2
+    assert parabola_of_force(level, force, by_chance).nats > np.log(1000.0)
+
+
 def test_a_place_that_is_shaken_and_where_the_phone_lies_alike_is_no_force() -> None:
     """Rests with z up are in a car: their noise is larger, and of another size in every ten seconds."""
     in_car = forces()[:, 2] > 4.0
