@@ -53,7 +53,8 @@ class Stream:
     vibrations found, which are taken off what the rests show of noise (`still`); period: a slower one, not
     looked for where the lines were known; raw: the same rests with the outliers; silent: whether its noise is
     not its own, but was added to a sensor without any (then there are no levels); hidden: whether a dead zone
-    takes what it reads at rest (then there are neither spectra nor levels).
+    takes what it reads at rest (then there are neither spectra nor levels); passing: those of the lines that
+    are of what the device lay on for a while.
     """
 
     sensor: str
@@ -69,6 +70,7 @@ class Stream:
     levels: noise.Levels | None
     silent: bool = False
     hidden: bool = False
+    passing: tuple[Finding, ...] = ()
 
     @classmethod
     def of(cls, sensor: str, samples: Samples, bins: Bins, lines: list[Finding] | None = None) -> Stream:
@@ -79,16 +81,19 @@ class Stream:
             np.sqrt(np.median([p.var(axis=0) for p in rests.pieces], axis=0)) if rests.pieces else np.zeros(3)
         )
         seen = steps(samples, sd)
-        period = None
+        period: Finding | None = None
+        passing: tuple[Finding, ...] = ()
         if lines is None and not seen.hides_noise():
             at_rest = AtRest.of(calm, sensor)
             lines, period = tones(calm, sensor, at_rest), steady_period(calm, sensor, at_rest)
+            passing = tuple(f for f in lines if at_rest.is_passing(f))
         lines = lines or []
         heard = [middle_hz(f) for f in lines]
         still = quiet(calm, bins, heard) if lines else rests
         raw = still if calm is samples else quiet(samples, bins, heard)
         found = _noise_of(still, seen, sensor)
-        return cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found)
+        one = cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found)
+        return replace(one, passing=passing)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -188,7 +193,8 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        found += [*stream.lines, stream.period]
+        lasting = [f for f in stream.lines if not any(f is one for one in stream.passing)]
+        found += [*lasting, stream.period]
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])

@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.time_offset import DELIVERED, LEAST_WINDOWS
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import BRIEF
 from stillcal.calib_core.diagnosis.noise.lines.steady_segments import Places, stretches
 from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
@@ -272,7 +273,7 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
     yield Check(f"{sensor}_quantisation", sensor, few or restless or constant)
     hidden = "its values come in steps that hide the noise" if pieces else restless
     coarse = hidden if stream.steps.hides_noise() else None
-    tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream)
+    tone = None if "vibration_tone" in stated else few or coarse or _no_stretch(stream) or _passing(stream)
     yield Check("vibration_tone", sensor, tone)
     noise = few or coarse or restless or _unjudged(stream)
     blurred = BLURRED if stream.steps.blurs_level() else None
@@ -291,6 +292,16 @@ def _of_stream(exam: Examination, stream: Stream) -> Iterator[Check]:
 def _unjudged(stream: Stream) -> str | None:
     """Say why a stream's noise at rest is not judged; None where it is."""
     return None if stream.levels is not None and not stream.repeats_many else why_no_density(stream)
+
+
+def _passing(stream: Stream) -> str | None:
+    """Say which vibration the device only lay on; None without one."""
+    if not stream.passing:
+        return None
+    line = stream.passing[0]
+    share, when = line.parameters["fraction"].value, f"{line.where.t_start:.0f} to {line.where.t_end:.0f} s"
+    hz = f"{middle_hz(line):.4g} Hz"
+    return f"what the device lay on vibrated at {hz} for {share:.2%} of the time at rest, from {when}"
 
 
 def _no_stretch(stream: Stream) -> str | None:

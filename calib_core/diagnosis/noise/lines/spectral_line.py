@@ -65,6 +65,11 @@ BODY_HZ, SURE = 6.0, 69.0
 """Below this frequency a line must be as sure, in nats: overtones of hearts and hands reach so far. None is
 told there whose frequency wanders, as a hand's tremor does, mostly below."""
 
+FEW_RESTS, ONE_REST, WAITING = 5, 0.1, 0.02
+"""Of so many rests one may be on something that shakes, for so much of the time at rest at most. People are
+in vehicles for an hour a day (Metz 2008, Transport Reviews 28, 321), and wait there for a part of it: a
+vibration of so little of all rests may be of many waits."""
+
 STACK_P = 1e-3
 """Chance of what stands out, anywhere, in many stretches together; `stated` judges it."""
 
@@ -96,6 +101,20 @@ class AtRest:
         """Their spectrum as one series, of brief stretches where none are short; None for too few."""
         seen = self.short or stretches(self.places, self.sensor, BRIEF)
         return None if self.places is None or seen is None else CoherentSpectrum.of(self.places, seen)
+
+    def is_passing(self, line: Finding) -> bool:
+        """Whether a line is of what the device lay on for a while, of many rests.
+
+        It fills one rest and no part of another, as when a vehicle waits, or is there for hardly any of them.
+        """
+        first, last = (np.empty(0), np.empty(0)) if self.short is None else self.short.rests()
+        if first.size < FEW_RESTS:
+            return False
+        touched = (first < line.where.t_end) & (last > line.where.t_start)
+        own, margin = last[touched] - first[touched], SHORT / 4.0
+        whole = own.size == 1 and abs(own[0] - (line.where.t_end - line.where.t_start)) < margin
+        share = float(np.asarray(line.parameters["fraction"].value))
+        return bool(share <= WAITING or (whole and own[0] <= ONE_REST * (last - first).sum()))
 
     @cached_property
     def moments(self) -> Stretches | None:

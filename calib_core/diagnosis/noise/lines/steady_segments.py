@@ -64,6 +64,12 @@ class Stretches:
         """Return the ratio (S, F, 3) of the power to the mean of the free ones of its neighbours."""
         return _ratios(self.power, self.wider, self.free)
 
+    def rests(self) -> tuple[Array, Array]:
+        """Return when (R,) rests begin and end, s: stretches that overlap are of one."""
+        reached = np.maximum.accumulate(self.span[:, 1])
+        begins = np.concatenate([[0], np.flatnonzero(self.span[1:, 0] > reached[:-1]) + 1])
+        return self.span[begins, 0], reached[np.append(begins[1:], reached.size) - 1]
+
     def only(self, rows: Index) -> Stretches:
         """Return some of them."""
         return replace(

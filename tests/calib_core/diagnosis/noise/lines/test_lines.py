@@ -15,10 +15,11 @@ from scipy.special import ive
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis import stream
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import direct_checks
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.noise.lines import spectral_line
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import scaled_bessel
-from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, is_line, middle_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_put_in import would_show
 from stillcal.calib_core.diagnosis.noise.lines.line_spectrum import faint_lines
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
@@ -520,3 +521,43 @@ def test_what_is_at_four_hz_is_a_vibration_or_a_steady_period_and_not_both(
     told = [middle_hz(line) for line in tones(samples, "accel", rests)]
     assert told == (pytest.approx([frequency], abs=2e-5) if vibrates else [])
     assert period is not None and "2.3" in period.statement and ("4 Hz" in period.statement) != vibrates
+
+
+def moved_about(hums: list[tuple[float, float]], rests: int, rest_s: float = 44.0) -> Samples:
+    """Return rests of a phone that is turned for 6 s between them, at 50 Hz. hums: s, spans of 17.3 Hz."""
+    rng, each = np.random.default_rng(4), rest_s + 6.0
+    t = np.arange(0.0, rests * each, 0.02)
+    up = rng.normal(0.0, 1.0, (rests, 3))
+    up *= 9.81 / np.linalg.norm(up, axis=1, keepdims=True)
+    turning = (t % each > rest_s).astype(float)[:, None]
+    xyz = up[(t / each).astype(int)] + rng.normal(0.0, NOISE, (t.size, 3)) * (1.0 + 200.0 * turning)
+    for start, end in hums:
+        xyz[:, 0] += 0.03 * np.sin(2.0 * np.pi * 17.3 * t) * ((t >= start) & (t < end))
+    return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(xyz))
+
+
+@pytest.mark.parametrize(
+    ("hums", "rests", "told"),
+    [
+        ([(200.0, 244.0)], 16, False),  # the fifth rest, whole
+        ([(208.0, 236.0)], 16, True),  # it begins and ends while the phone lies still
+        ([(200.0, 294.0)], 16, True),  # two rests
+        ([(200.0, 244.0), (500.0, 544.0)], 16, True),
+        ([(100.0, 144.0)], 4, True),  # of four nobody knows what is usual
+        ([(100.0, 144.0)], 9, True),  # more than a tenth of the time at rest
+        ([(208.0, 236.0)], 40, False),  # less than a fiftieth
+    ],
+)
+def test_a_vibration_that_fills_one_rest_of_many_is_of_what_the_phone_lay_on(
+    hums: list[tuple[float, float]], rests: int, told: bool
+) -> None:
+    """Vehicles that wait for half a minute were vibrations that a simulation of the phone lacks."""
+    samples = moved_about(hums, rests)
+    exam = examine(samples, None, sought=())
+    (line,) = exam.streams[0].lines
+    assert middle_hz(line) == pytest.approx(17.3, abs=0.05)
+    assert any(is_line(s.finding) for s in exam.statements) == told
+    checked = [c.reason for c in direct_checks(exam) if (c.effect, c.sensor) == ("vibration_tone", "accel")]
+    share, when = line.parameters["fraction"].value, f"{line.where.t_start:.0f} to {line.where.t_end:.0f} s"
+    why = f"what the device lay on vibrated at 17.3 Hz for {share:.2%} of the time at rest, from {when}"
+    assert checked == [None if told else why]
