@@ -118,6 +118,12 @@ def families(view: View) -> list[Family]:
     return made
 
 
+def of_same_noise(made: View, view: View) -> View:
+    """Return a view made of another one, with other data or baseline: its families are that one's."""
+    made.memo["families"] = families(view)
+    return made
+
+
 def _diagonalised(view: View) -> list[Family]:
     whiten = np.linalg.inv(np.linalg.cholesky(covariance_of(view)))
     made = kinds(view)

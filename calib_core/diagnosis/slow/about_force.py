@@ -20,6 +20,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.effects.by_force import ForceNonlinearity
+from stillcal.calib_core.diagnosis.inference.noise_models import of_same_noise
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, together
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.sensor_residuals import of_force
@@ -87,7 +88,8 @@ def about_point(residuals: SensorResiduals, effects: Sequence[Hypothesis]) -> Se
         return residuals
     # Also in views in which it is not sought: it was taken off the force that all of them are made of.
     columns = made.columns_of(_response(made, own))
-    views = (replace(v, y=v.y + c @ value) for v, c in zip(made.views, columns, strict=True))
+    moved = ((v, replace(v, y=v.y + c @ value)) for v, c in zip(made.views, columns, strict=True))
+    views = (of_same_noise(anew, v) for v, anew in moved)
     return replace(made, bins=residuals.bins, views=tuple(views))
 
 

@@ -11,6 +11,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.inference.noise_models import of_same_noise
 from stillcal.calib_core.diagnosis.model.effect import Linear, on_axes
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, Parameters, SensorResiduals
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Where
@@ -62,9 +63,9 @@ def _constants_free(view: View, gravity: float) -> View:
     if view.name == "norm":
         local = np.full((view.t.size, 1), LOCAL_GRAVITY * gravity)
         return replace(view, baseline=view.baseline[:, :, :0], absorbed=local)
-    if view.name == "turn":
-        return replace(view, baseline=view.baseline[:, :, :0])
-    return replace(view, baseline=view.baseline[:, :, :0]) if view.name.startswith("rate") else view
+    if view.name == "turn" or view.name.startswith("rate"):
+        return of_same_noise(replace(view, baseline=view.baseline[:, :, :0]), view)
+    return view
 
 
 def constants(kind: str, residuals: SensorResiduals) -> Hypothesis:
