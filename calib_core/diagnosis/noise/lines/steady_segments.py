@@ -6,6 +6,7 @@ would shift the phase of every line, gap by gap.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +26,9 @@ SHORTER = 0.92
 """Each length that is tried where a longer one finds no room is so much of that before."""
 
 LEAST_SAMPLES = 100
+
+AT_ONCE = 200_000
+"""Numbers that are worked on at once: a day's spectra, all at once, take as much memory as the day."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -228,8 +232,17 @@ def _tapered(places: Places, first: Index, length: Index, longest: int) -> tuple
 
 def _powers(tapered: Array) -> Array:
     """Return the powers (S, F, 3) of tapered values (S, n, 3)."""
-    spectrum = np.fft.rfft(tapered, axis=1)
-    return np.asarray(spectrum.real**2 + spectrum.imag**2)
+    power = np.empty((len(tapered), tapered.shape[1] // 2 + 1, tapered.shape[2]))
+    for rows in _few_rows(np.arange(len(tapered)), tapered[0].size):
+        spectrum = np.fft.rfft(tapered[rows], axis=1)
+        power[rows] = spectrum.real**2 + spectrum.imag**2
+    return power
+
+
+def _few_rows(rows: Index, size: int) -> Iterator[Index]:
+    """Cut rows (S,) of `size` values each into parts that need little memory."""
+    count = max(AT_ONCE // size, 1)
+    return (rows[first : first + count] for first in range(0, rows.size, count))
 
 
 def _ratios(power: Array, wider: Array, free: NDArray[np.bool_]) -> Array:
@@ -241,15 +254,16 @@ def _ratios(power: Array, wider: Array, free: NDArray[np.bool_]) -> Array:
 
     ratio, counted = np.empty_like(power), free[None, :, None].astype(np.float64)
     for width in np.unique(wider):
-        rows = wider == width
         all_of, own = (2 * round(width * (n // 2)) + 1 for n in (NEIGHBOURS + OWN, OWN))
-        mine = power[rows]
 
         def around(values: Array, all_of: int = all_of, own: int = own) -> Array:
             wide, near = (n * uniform_filter1d(values, n, axis=1) for n in (all_of, own))
             return np.asarray(wide - near)
 
-        floor = 1e-6 * mine.mean(axis=1, keepdims=True)
-        background = np.maximum(around(mine * counted) / np.maximum(around(counted), 1.0), floor)
-        ratio[rows] = mine / np.maximum(background, 1e-300)
+        number = np.maximum(around(counted), 1.0)
+        for rows in _few_rows(np.flatnonzero(wider == width), power[0].size):
+            mine = power[rows]
+            floor = 1e-6 * mine.mean(axis=1, keepdims=True)
+            background = np.maximum(around(mine * counted) / number, floor)
+            ratio[rows] = mine / np.maximum(background, 1e-300)
     return ratio
