@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import (
@@ -26,6 +27,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.settings import JUMP
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
+from stillcal.calib_core.diagnosis.segments.leaning import ACROSS, OFTEN, PUSH
 from stillcal.calib_core.diagnosis.segments.orientation import GRAVITY, LONGEST_GAP, MOST_OF_BIAS
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.rests.rest_edges import rest_edges
@@ -176,7 +178,18 @@ def unseen_tilt(
     # What turns while gravity stays where it was is the gyroscope's; where it turned half as far in whatever
     # direction, its axes may be at fault.
     log_chance[(steps.seen < 0.5 * steps.angle) | (moved > 0.5 * steps.angle)] = 0.0
-    return _finding(steps, error, log_chance, overview.span[0])
+    return _finding(steps, error, log_chance, _across(force, steps), overview.span[0])
+
+
+def _across(force: Windows, steps: Steps) -> NDArray[np.bool_]:
+    """Whether steps (m,) are as far as pushes of what carries the phone are, and across gravity alone."""
+    length, at = np.linalg.norm(force.mean, axis=1), steps.at.astype(np.int64)
+    sums = np.concatenate([[0.0], np.cumsum(length)])
+    before, after = at - (steps.gap / 2.0).astype(np.int64), at + np.ceil(steps.gap / 2.0).astype(np.int64)
+    change = (sums[np.minimum(after + FEWEST, length.size)] - sums[after]) / FEWEST
+    change = change - (sums[before] - sums[before - FEWEST]) / FEWEST
+    far = (steps.angle > PUSH) & (steps.angle * GRAVITY < MOST_OF_BIAS)
+    return np.asarray(far & (np.abs(change) < ACROSS * GRAVITY * steps.angle))
 
 
 def _places(runs: Sequence[tuple[int, int]]) -> Index:
@@ -225,8 +238,13 @@ def _errors(steps: Steps, moved: Array, rounding: tuple[Array | None, Array | No
     return np.asarray(np.sqrt(variance))
 
 
-def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Finding | None:
-    """State the jumps that are sure, each once. start: s, of the first window."""
+def _finding(
+    steps: Steps, error: Array, log_chance: Array, across: NDArray[np.bool_], start: float
+) -> Finding | None:
+    """State the jumps that are sure, each once. start: s, of the first window.
+
+    across: (m,) whether each may be a push of what carries the phone: a few of these are.
+    """
     tries = float(log_chance.size)
     found: list[int] = []
     for i in np.argsort(log_chance):
@@ -234,6 +252,8 @@ def _finding(steps: Steps, error: Array, log_chance: Array, start: float) -> Fin
             break
         if all(abs(steps.at[i] - steps.at[j]) > REACH for j in found):
             found.append(int(i))
+    if np.count_nonzero(across[found]) >= OFTEN:
+        found = [i for i in found if not across[i]]
     if not found:
         return None
     surest = found[0]

@@ -45,7 +45,7 @@ def tilts(force: Samples, rate: Samples, *spoiled: tuple[float, float]) -> Findi
 
 
 def test_what_the_accelerometer_alone_shows_is_found() -> None:
-    angle = float(np.radians(1.2))
+    angle = float(np.radians(1.0))
     found = tilts(*lying(1, angle, 0.0))
     assert found is not None and (found.effect, found.where.driver, found.axes) == ("unknown", DRIVER, ["x"])
     assert (found.where.t_start, found.where.t_end) == pytest.approx((60.0, 140.0), abs=1.0)
@@ -53,6 +53,18 @@ def test_what_the_accelerometer_alone_shows_is_found() -> None:
     assert found.parameters["jumps"].value == 2.0
     low, high = found.parameters["angle"].ci95
     assert low < angle < high
+
+
+@pytest.mark.parametrize(("along", "pushes", "told"), [(0.0, 2, False), (0.0, 1, True), (0.3, 2, True)])
+def test_what_a_train_pushes_as_it_starts_and_stops_is_no_fault_of_a_sensor(
+    along: float, pushes: int, told: bool
+) -> None:
+    """0.6 m/s^2 for a minute. One push alone, or what is longer or shorter than gravity too, a bias does."""
+    force, rate = lying(1, 0.0, 0.0)
+    t = force.t
+    pushed = ((t >= 60.0) & (t < (140.0 if pushes == 2 else 300.0)))[:, None] * [0.6, 0.0, along]
+    found = tilts(Samples.checked(Sensor.ACCELEROMETER, t, force.xyz + pushed), rate)
+    assert (found is not None) == told
 
 
 def test_a_nudge_that_both_see_is_silent() -> None:

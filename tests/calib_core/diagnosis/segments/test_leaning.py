@@ -47,3 +47,14 @@ def test_a_phone_that_tilts_evenly_all_through_a_rest_leans_by_no_acceleration()
     force = nulls.G * bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True)
     length = np.linalg.norm(without_leaning(replace(bins, force=force)).force, axis=1)
     assert length == pytest.approx(nulls.G, abs=1e-3)
+
+
+@pytest.mark.parametrize(("along", "rests", "kept"), [(0.0, 2, 4), (0.0, 1, 6), (0.3, 2, 6)])
+def test_rests_in_which_a_train_pushes_are_none(along: float, rests: int, kept: int) -> None:
+    """0.6 m/s^2 in a third of each; a bias that jumps has a part along gravity, and once may be a bias."""
+    t, rng = np.arange(1800.0), np.random.default_rng(1)
+    rest = (t // 300.0).astype(np.int64)
+    day = nulls.Day(t, rest, np.tile([0.0, 0.0, 1.0], (t.size, 1)), 25.0 + 0.0 * t, 0.0 * t)
+    pushed = ((t % 300.0 > 200.0) & np.isin(rest, (2, 4)[:rests]))[:, None] * [0.6, 0.0, along]
+    bins = nulls.bins_of(rng, day, "white", accel_error=pushed)
+    assert np.unique(without_leaning(bins).rest).size == kept
