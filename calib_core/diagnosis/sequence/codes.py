@@ -52,6 +52,9 @@ BITS_OFF = (3, 16)
 CLEAR = 3.0
 """Spreads of six residuals that such a bit is worth at least, so that its multiples are apart."""
 
+LOUDER, ABOUT, MANY = 2.5, 32, 0.1
+"""Spreads beyond which noise has one residual in eighty; how many on either side; a part beyond noise's."""
+
 FEWEST_FAR = 10
 ALIKE = 5.0
 """Residuals that know of one value, and so may be off together."""
@@ -111,7 +114,7 @@ def lattice(code: Index) -> Repeats | None:
 
     What neighbours leave of them, six times, is then such a multiple too. Of other large residuals fewer lie
     about a multiple than half way to it: the larger they are, the rarer. Those of a vibration are not, but
-    they come one after the other.
+    they come one after the other, or among such as are louder than noise and not as far off.
     """
     left = 6.0 * residual(code.astype(np.float64)[:, None])[:, 0]
     noise, found = float(spread(left[:, None])[0]), []
@@ -119,13 +122,22 @@ def lattice(code: Index) -> Repeats | None:
         period = float(2**bit)
         if period < CLEAR * noise:
             continue
-        far = left[_single(np.abs(left) > period / 2.0)]
+        single = _single(np.abs(left) > period / 2.0)
+        far = left[single[~_shaken(np.abs(left), noise, period / 2.0)[single]]]
         if far.size < FEWEST_FAR:
             continue
         waves = float(np.cos(2.0 * np.pi * far / period).sum())
         sigmas = max(waves, 0.0) / np.sqrt(0.5 * ALIKE * far.size)
         found.append(Repeats(bit, "error of single values", of_fit(0.5 * sigmas**2, 1.0, far.size, BITS)))
     return max(found, key=lambda r: r.nats, default=None)
+
+
+def _shaken(size: Array, noise: float, far: float) -> NDArray[np.bool_]:
+    """Where (n,) many residuals about, of size (n,), are louder than noise and not far, as multiples are."""
+    from scipy.ndimage import uniform_filter1d  # noqa: PLC0415 - the daemon stays light
+
+    between = ((size > LOUDER * noise) & (size <= far)).astype(np.float64)
+    return np.asarray(uniform_filter1d(between, 2 * ABOUT + 1) > MANY)
 
 
 def _single(far: NDArray[np.bool_]) -> Index:

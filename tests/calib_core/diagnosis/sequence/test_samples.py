@@ -136,12 +136,13 @@ def test_coarse_steps_of_two_gains_stay_by_chance() -> None:
     assert said(codes) == []
 
 
-def test_a_machine_that_shakes_some_rests_has_no_code() -> None:
-    """A line near half the sample rate; its samples were values that are off by multiples of 512 codes."""
+@pytest.mark.parametrize(("part", "size"), [(0.452, (150.0, 100.0, 300.0)), (0.458, (62.0, 64.0, 66.0))])
+def test_a_machine_that_shakes_some_rests_has_no_code(part: float, size: tuple[float, ...]) -> None:
+    """A line near half the sample rate; its samples were values off by multiples of 512 codes, or 1024."""
     codes = turning(3)
     t = np.arange(len(codes)) / RATE
     shaken = (t % 60.0) < 20.0
-    codes[shaken] += np.rint(np.outer(np.sin(2.0 * np.pi * 0.452 * RATE * t[shaken]), [150.0, 100.0, 300.0]))
+    codes[shaken] += np.rint(np.outer(np.sin(2.0 * np.pi * part * RATE * t[shaken]), size))
     assert "own code" not in {f.where.driver for f in said(codes)}
 
 
