@@ -108,6 +108,11 @@ class LinesOf:
             self._every[sensor] = [] if stream is None else every_line(stream.calm, sensor, stream.lines)
         return self._every[sensor]
 
+    def has_passing(self, line: Finding) -> bool:
+        """Whether its sensor has a line that is not stated because it is of what the device lay on."""
+        stream = self._streams.get(line.sensor)
+        return is_line(line) and stream is not None and bool(stream.passing)
+
     def unstated(self, finding: Finding, own: Sequence[Finding], others: Sequence[Finding]) -> Finding | None:
         """Return a line like one of another recording that is not among those stated; None without one.
 

@@ -145,6 +145,8 @@ def differences_of_samples(
                 both += _paired(*((finding, measured) if of_recording else (measured, finding)))
                 continue
             unlooked = reasons[other].get((finding.effect, finding.sensor))
+            # Its rests tell all their vibrations, also those of what it lay on.
+            unlooked = None if lines[other].has_passing(finding) else unlooked
             reason = why_not_shown(finding, exams[other]) or unlooked
             reason = reason or lines[other].why_none(finding, own, others, exams[1 - other])
             hidden = not_logged.of_finding(unlogged[1 - other], exams[1 - other], finding)

@@ -143,6 +143,32 @@ def test_a_line_that_comes_and_goes_is_put_in_so() -> None:
     assert would_show(resting(2, 900.0, {}), "accel", [line]) == [True]
 
 
+def on_its_way(whole: Samples, hz: float) -> Samples:
+    """Return a phone that is turned for 6 of 50 s, and lay on something that shakes for the fifth rest."""
+    rng, k, turning = np.random.default_rng(4), (whole.t / 50.0).astype(int), whole.t % 50.0 > 44.0
+    ways = rng.normal(0.0, 1.0, (k[-1] + 1, 3))
+    ways *= 9.81 / np.linalg.norm(ways, axis=1, keepdims=True)
+    xyz = (
+        whole.xyz
+        - whole.xyz.mean(axis=0)
+        + ways[k]
+        + np.outer(turning, [1.0, 1.0, 1.0]) * 4.0 * rng.normal(size=(whole.t.size, 3))
+    )
+    xyz[:, 0] += 0.05 * np.sin(2.0 * np.pi * hz * whole.t) * ((k == 4) & ~turning)
+    return replace(whole, xyz=frozen(xyz))
+
+
+@pytest.mark.parametrize("of_recording", [True, False])
+def test_beside_what_one_lay_on_a_vibration_of_the_other_is_told(of_recording: bool) -> None:
+    """One of 11 Hz, all along the other recording, was not compared for that, and the verdict was a match."""
+    lay = on_its_way(resting(1, 800.0, {}), 17.3)
+    for hz, said in ((11.0, 1), (17.3, 0)):
+        pair = (resting(2, 800.0, {hz: 0.05}), lay)
+        found = compared(*(pair if of_recording else pair[::-1]))
+        told = [relation for effect, relation in differing(found) if effect == "vibration_tone"]
+        assert told.count("lacking" if of_recording else "superfluous") == said
+
+
 def _off_every_other(on: Samples, off: Samples, seconds: float = 40.0) -> Samples:
     every: Array = (on.t // seconds) % 2.0
     return Samples(on.sensor, on.t, frozen(np.where(every[:, None] == 0.0, on.xyz, off.xyz)))
