@@ -47,7 +47,7 @@ from stillcal.calib_core.diagnosis.slow.turns.turn_errors import turn_errors
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_residuals
 from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.diagnosis.slow.wander import sizes_along_gravity
-from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, direct_findings
+from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, agreed, direct_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.sines import without_vibrations
@@ -178,7 +178,7 @@ def _of_samples(
     exchanged = None if turned else garbled(between)
     spoiled += [exchanged] if exchanged else []
     clear = outside_of(bins, spoiled)
-    streams = [Stream.of(s, x, clear) for s, x in sensors]
+    streams = agreed([Stream.of(s, x, clear) for s, x in sensors])
     streams = [replace(s, levels=None, silent=True) if s.sensor in silent else s for s in streams]
     nameless = [
         f for s in streams for f in sequence_findings(s.samples, s.calm, s.sensor, clear, s.vibrations)

@@ -256,6 +256,24 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
     return [f for f in kept if not any(f is echo for echo in echoes)]
 
 
+def agreed(streams: Sequence[Stream]) -> list[Stream]:
+    """Return streams that agree on what the device lay on: a vibration is there while either sensor shows it.
+
+    The other one may show only its loudest part.
+    """
+    lines = [(f, any(f is one for one in s.passing)) for s in streams for f in s.lines]
+
+    def passes(line: Finding) -> bool:
+        same = [
+            (float(np.asarray(f.parameters["fraction"].value)), passing)
+            for f, passing in lines
+            if f is line or (f.sensor != line.sensor and of_one_vibration(f, line))
+        ]
+        return max(same)[1]
+
+    return [replace(s, passing=tuple(f for f in s.lines if passes(f))) for s in streams]
+
+
 def of_one_vibration(one: Finding, other: Finding) -> bool:
     """Whether lines of both sensors are at one frequency."""
     return abs(middle_hz(one) - middle_hz(other)) < SAME_HZ + min(reach_hz(one), reach_hz(other))

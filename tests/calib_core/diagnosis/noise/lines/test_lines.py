@@ -561,3 +561,25 @@ def test_a_vibration_that_fills_one_rest_of_many_is_of_what_the_phone_lay_on(
     share, when = line.parameters["fraction"].value, f"{line.where.t_start:.0f} to {line.where.t_end:.0f} s"
     why = f"what the device lay on vibrated at 17.3 Hz for {share:.2%} of the time at rest, from {when}"
     assert checked == [None if told else why]
+
+
+@pytest.mark.parametrize(
+    ("felt", "turned", "told"),
+    [
+        ([(0.0, 800.0)], [(200.0, 244.0)], ["accel"]),  # the gyroscope feels the loudest part of it
+        ([(200.0, 244.0)], [(208.0, 236.0)], []),  # it fills one rest, as the accelerometer shows
+    ],
+)
+def test_of_what_the_phone_lay_on_both_sensors_say_the_same(
+    felt: list[tuple[float, float]], turned: list[tuple[float, float]], told: list[str]
+) -> None:
+    """One of the two parts was a finding, and the other one was named under what is not compared."""
+    accel, gyro = moved_about(felt, 16), moved_about(turned, 16)
+    still = gyro.t % 50.0 <= 44.0
+    rate = np.where(still[:, None], (gyro.xyz - moved_about([], 16).xyz), 1.0)
+    rate += np.random.default_rng(5).normal(0.0, NOISE, rate.shape)
+    exam = examine(accel, Samples(Sensor.GYROSCOPE, gyro.t, frozen(0.1 * rate)), sought=())
+    assert all(len(s.lines) == 1 for s in exam.streams)
+    lines = [s.finding for s in exam.statements if is_line(s.finding)]
+    assert [f.sensor for f in lines] == told and all(f.echoes for f in lines)
+    assert [bool(s.passing) for s in exam.streams] == [not told] * 2
