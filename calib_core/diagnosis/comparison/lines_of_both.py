@@ -79,10 +79,12 @@ def with_lines_heard(
 ) -> tuple[list[Finding], list[Finding]]:
     """Return what both state, also the gyroscope's lines that are told with the accelerometer's of both.
 
-    A vibration that both recordings have may shake the gyroscope in one of them alone.
+    A vibration that both recordings have may shake the gyroscope in one of them alone. One of the two may
+    have it from what the device lay on, and not state it.
     """
 
-    def told_with(exam: Examination, own: list[Finding], others: list[Finding]) -> list[Finding]:
+    def told_with(exam: Examination, own: list[Finding], stated: list[Finding], other: int) -> list[Finding]:
+        others = [*stated, *(line for s in exams[other].streams for line in s.passing)]
         felt = [f for f in own if f.sensor == "accel" and is_line(f) and partner(f, own, others)]
         known = [f.where for f in own if f.sensor == "gyro"]
         lines = [line for s in exam.streams if s.sensor == "gyro" for line in s.lines]
@@ -90,7 +92,7 @@ def with_lines_heard(
         return [line for line in heard if any(of_one_vibration(line, f) for f in felt)]
 
     one, other = sides
-    return [*one, *told_with(exams[0], one, other)], [*other, *told_with(exams[1], other, one)]
+    return [*one, *told_with(exams[0], one, other, 1)], [*other, *told_with(exams[1], other, one, 0)]
 
 
 class LinesOf:

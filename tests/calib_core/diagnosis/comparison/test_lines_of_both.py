@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.comparison.lines_of_both import with_lines_heard
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -167,6 +170,22 @@ def test_beside_what_one_lay_on_a_vibration_of_the_other_is_told(of_recording: b
         found = compared(*(pair if of_recording else pair[::-1]))
         told = [relation for effect, relation in differing(found) if effect == "vibration_tone"]
         assert told.count("lacking" if of_recording else "superfluous") == said
+
+
+def test_the_gyroscopes_part_is_compared_where_the_other_recording_only_lay_on_it() -> None:
+    """The other one does not state the accelerometer's line either; the gyroscope's was not compared."""
+    (felt,) = tones(resting(1, 400.0, {17.3: 0.03}), "accel")
+    heard = replace(felt, sensor="gyro")
+
+    def exam(passing: list[Finding]) -> Examination:
+        lines = {"accel": [felt], "gyro": [heard]}
+        streams = [SimpleNamespace(sensor=s, lines=f, passing=passing) for s, f in lines.items()]
+        return cast("Examination", SimpleNamespace(streams=streams))
+
+    states, lay = exam([]), exam([felt])
+    assert with_lines_heard(([felt], []), (states, lay)) == ([felt, heard], [])
+    assert with_lines_heard(([], [felt]), (lay, states)) == ([], [felt, heard])
+    assert with_lines_heard(([felt], []), (states, states)) == ([felt], [])
 
 
 def _off_every_other(on: Samples, off: Samples, seconds: float = 40.0) -> Samples:
