@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.noise.lines.coherent_line import CoherentSpectrum
 from stillcal.calib_core.diagnosis.noise.lines.harmonics import with_harmonics
 from stillcal.calib_core.diagnosis.noise.lines.intermittent_line import named_if_steady
-from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.line_estimate import (
     LOUDEST,
     narrow,
@@ -107,14 +107,27 @@ class AtRest:
 
         It fills one rest and no part of another, as when a vehicle waits, or is there for hardly any of them.
         """
-        first, last = (np.empty(0), np.empty(0)) if self.short is None else self.short.rests()
+        if self.short is None:
+            return False
+        first, last = self.short.rests()
         if first.size < FEW_RESTS:
             return False
-        touched = (first < line.where.t_end) & (last > line.where.t_start)
+        start, end = line.where.t_start, line.where.t_end
+        again = self._shown(line) & ((self.short.span[:, 1] <= start) | (self.short.span[:, 0] >= end))
+        touched = (first < end) & (last > start)
         own, margin = last[touched] - first[touched], SHORT / 4.0
-        whole = own.size == 1 and abs(own[0] - (line.where.t_end - line.where.t_start)) < margin
+        whole = own.size == 1 and abs(own[0] - (end - start)) < margin and not again.any()
         share = float(np.asarray(line.parameters["fraction"].value))
+        share += float(self.short.share[again].sum() / self.short.share.sum())
         return bool(share <= WAITING or (whole and own[0] <= ONE_REST * (last - first).sum()))
+
+    def _shown(self, line: Finding) -> NDArray[np.bool_]:
+        """Return which short stretches (S,) show a line by themselves: of several spells one run is told."""
+        assert self.short is not None, "a line of short stretches"
+        reach = reach_hz(line) + APART_HZ / NEAR
+        near = np.abs(self.short.f - middle_hz(line)) <= reach
+        ratio = self.short.ratio()[:, near]
+        return np.asarray(ratio.max(axis=(1, 2)) > never_by_chance(ratio.size))
 
     @cached_property
     def moments(self) -> Stretches | None:

@@ -543,6 +543,7 @@ def moved_about(hums: list[tuple[float, float]], rests: int, rest_s: float = 44.
         ([(208.0, 236.0)], 16, True),  # it begins and ends while the phone lies still
         ([(200.0, 294.0)], 16, True),  # two rests
         ([(200.0, 244.0), (500.0, 544.0)], 16, True),
+        ([(100.0, 144.0), (700.0, 744.0)], 16, True),  # one of the two is told
         ([(100.0, 144.0)], 4, True),  # of four nobody knows what is usual
         ([(100.0, 144.0)], 9, True),  # more than a tenth of the time at rest
         ([(208.0, 236.0)], 40, False),  # less than a fiftieth
