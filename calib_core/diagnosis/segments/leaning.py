@@ -40,7 +40,7 @@ def without_leaning(bins: Bins) -> Bins:
     size = np.linalg.norm(bins.force, axis=1, keepdims=True)
     square = _leaning(bins, bins.force / np.maximum(size, 1e-9), bins.rate)
     bins = replace(bins, force=bins.force / np.sqrt(1.0 + square)[:, None])
-    return _without_pushes(bins, np.sqrt(square))
+    return _without_pushes(bins, np.sqrt(np.maximum(square, 0.0)))
 
 
 def _without_pushes(bins: Bins, lean: Array) -> Bins:
@@ -49,8 +49,11 @@ def _without_pushes(bins: Bins, lean: Array) -> Bins:
     far = lean > PUSH
     for r in np.unique(bins.rest[far]):
         own = bins.rest == r
-        change = length[own & far].mean() - length[own & ~far].mean()
-        if abs(change) < ACROSS * float((length * lean)[own & far].mean()):
+        pushed, free = own & far, own & ~far
+        if not free.any():
+            continue
+        change = length[pushed].mean() - length[free].mean()
+        if abs(change) < ACROSS * float((length * lean)[pushed].mean()):
             pushes[r] = np.count_nonzero(np.diff(far[own], prepend=False) & far[own])
     return bins if pushes.sum() < OFTEN else bins.chosen(pushes[bins.rest] == 0)
 

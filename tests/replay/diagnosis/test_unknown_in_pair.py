@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import compare_in_pai
 from stillcal.calib_core.diagnosis.comparison.pair.motion import left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.stands import with_owner_of_unknown
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
 from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
 from stillcal.calib_core.diagnosis.effects.unknown import Unknown
@@ -118,3 +119,26 @@ def test_wander_is_of_the_one_whose_own_rests_wander(name: str, driver: str) -> 
     (one,) = with_owner_of_unknown(found, pair, exams[0], exams[0]).discrepancies
     told = answer_of(Comparison([one]), ("real.csv", "sim.csv"), Fit(1.0, 1.0), {}, None)
     assert "is not known" in told["findings"][0]["statement"]
+
+
+@pytest.mark.parametrize(
+    ("own", "relation"),
+    [((False, True), "superfluous"), ((False, False), "lacking"), ((True, True), "lacking")],
+)
+def test_an_arm_that_the_simulation_alone_states_is_its_own(own: tuple[bool, bool], relation: str) -> None:
+    """The readings differ by the negative arm, which the recording was said to have."""
+    size = Parameter([0.03, 0.0, 0.0], None, "m")
+    said = Finding("lever_arm", "accel", ["x"], Where(0.0, 1.0, (0.0, 0.05), "turns"), {"position": size},
+                   Evidence(50.0), [], "")  # fmt: skip
+    alone = examined(turned(1), sought=())
+    exams = [replace(alone, statements=[Stated(said)] if states else []) for states in own]
+    part = (Part("position", "m", 3),)
+    arm = Quantity("lever_arm", "accel", part, np.array([-0.03, 0.0, 0.0]), 1e-6 * np.eye(3), np.full(3, 0.1),
+                   np.full(3, 1e-3), np.arange(3))  # fmt: skip
+    apart = subtract(arm, replace(arm, value=np.zeros(3), covariance=np.zeros((3, 3))))
+    found = Comparison([replace(sole_discrepancy((said, True), 0.97), difference=apart)])
+    (one,) = with_owner_of_unknown(found, alone, *exams).discrepancies
+    assert one.relation == relation and one.difference is not None
+    if relation == "superfluous":
+        assert one.difference.simulated.value == pytest.approx([0.03, 0.0, 0.0])
+        assert not one.difference.recorded.value.any()

@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import wa
 from stillcal.calib_core.diagnosis.comparison.direct import delay_quantity
 from stillcal.calib_core.diagnosis.comparison.linear.quantities import every_linear_quantity
 from stillcal.calib_core.diagnosis.comparison.linear.wanted import Wanted, kind_of, settled, wanted_of
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Arm
 from stillcal.calib_core.diagnosis.comparison.pair.vote import shares_alone
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
@@ -83,8 +84,24 @@ def with_owner_of_unknown(
             beside = [s for s in exam.statements if s is not said]
             alone = [0.0 if said is None else _shown_at_rest(said, beside, e) for e in (recorded, simulated)]
             one = _owned(one, said, np.array(alone))  # noqa: PLW2901 - it is the same difference
+        elif one.effect == Arm.name and not _states(recorded, one.effect) and _states(simulated, one.effect):
+            one = _of_simulation(one)  # noqa: PLW2901 - it is the same difference
         out.append(one)
     return replace(found, discrepancies=out)
+
+
+def _states(alone: Examination, effect: str) -> bool:
+    """Whether one recording by itself states an effect."""
+    return any(s.finding.effect == effect for s in alone.statements)
+
+
+def _of_simulation(one: Discrepancy) -> Discrepancy:
+    """Return a difference as what the simulation has and the recording has not."""
+    apart = one.difference
+    assert apart is not None, "an arm is measured"
+    had = replace(apart.recorded, value=-apart.value, covariance=apart.covariance)
+    none = replace(apart.recorded, value=np.zeros_like(apart.value))
+    return replace(one, relation="superfluous", difference=replace(apart, recorded=none, simulated=had))
 
 
 def _owned(one: Discrepancy, said: Stated | None, alone: Array) -> Discrepancy:
@@ -213,9 +230,7 @@ def _standing(one: Discrepancy, own: Sequence[Quantity], *, turned: bool) -> Dis
     symmetric = one.effect == "accel_scale" or (turned and one.effect == "gyro_scale")
     if symmetric and not _without_turn(more).shows():
         # The recording has none of what is sure, so the turn of all axes besides is the simulation's too.
-        had = replace(apart.recorded, value=-apart.value, covariance=apart.covariance)
-        more = replace(more, value=np.zeros_like(both))
-        return replace(one, relation="superfluous", difference=replace(apart, recorded=more, simulated=had))
+        return _of_simulation(one)
     whole = replace(apart, recorded=more, simulated=had, value=both - value)
     return replace(one, relation=whole.relation(), difference=whole)
 
