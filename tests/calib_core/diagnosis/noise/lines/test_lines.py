@@ -547,6 +547,7 @@ def moved_about(hums: list[tuple[float, float]], rests: int, rest_s: float = 44.
         ([(100.0, 144.0)], 4, True),  # of four nobody knows what is usual
         ([(100.0, 144.0)], 9, True),  # more than a tenth of the time at rest
         ([(208.0, 236.0)], 40, False),  # less than a fiftieth
+        ([(208.0, 236.0), (1208.0, 1236.0)], 40, True),  # more, in two waits
     ],
 )
 def test_a_vibration_that_fills_one_rest_of_many_is_of_what_the_phone_lay_on(
