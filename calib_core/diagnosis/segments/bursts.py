@@ -53,7 +53,8 @@ def bursts(t: Array) -> Bursts:
     lost = _lost((t[last] - period * last) / (period * usual), np.flatnonzero(paused) + 1)
     missing = np.zeros(t.size, dtype=np.int64)
     missing[np.concatenate([[0], last[:-1] + 1])] = np.rint(usual * lost)
-    place += np.cumsum(missing)
+    if missing.sum() < t.size:  # more are no losses: somebody samples for a while now and then
+        place += np.cumsum(missing)
     return Bursts(place, last, float(waits[~paused].sum() / np.diff(place[last])[~paused].sum()))
 
 

@@ -51,3 +51,10 @@ def test_delays_that_wander_by_more_than_a_burst_tell_of_none_that_is_lost() -> 
     late = np.cumsum(np.random.default_rng(2).normal(0.0, 0.5 * SIZE * PERIOD, COUNT))
     place, t = stamps(late - late.min())
     assert bursts(t).place == pytest.approx(place)
+
+
+def test_long_waits_after_many_bursts_are_no_losses() -> None:
+    """Two samples a millisecond, and 4 s of nothing after four in ten: 65 million places were left empty."""
+    wait = np.where(np.random.default_rng(1).random(20_000) < 0.4, 4.0, 1e-3)
+    t = np.repeat(np.cumsum(wait), 2) + np.tile([0.0, 1e-6], wait.size)
+    assert bursts(t).place[-1] == t.size - 1
