@@ -1,9 +1,14 @@
-"""Item 6: the diagnosis of an hour at 50 Hz and of a table of rests, and how time and memory grow."""
+"""Item 6: the diagnosis of an hour, of a table of rests and of a whole day, and how time and memory grow."""
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+import tempfile
 import tracemalloc
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 from subject import LOCAL_G, Day, day
@@ -22,6 +27,9 @@ ROWS = (300, 3000, 11000)
 HOURS = (4, 8, 24)
 HOUR_S, TABLE_S = 3.0, 20.0
 """Goals: s of an hour at 50 Hz, and of the largest table."""
+
+DAY_S, DAY_MB = 40.0, 600.0
+"""Goals: s of processor and MB of memory at most of a day at 100 Hz, command and reading with it."""
 
 
 def run(quick: bool) -> Iterator[Row]:
@@ -47,6 +55,7 @@ def run(quick: bool) -> Iterator[Row]:
     )
     yield _tables(ROWS[:2] if quick else ROWS)
     yield _memory(subject, HOURS[:2] if quick else HOURS)
+    yield from _whole("tables" if quick else "day")
 
 
 def _tables(rows: tuple[int, ...]) -> Row:
@@ -112,3 +121,36 @@ def _memory(subject: Day, hours: tuple[int, ...]) -> Row:
         accuracy=f"{samples} samples a sensor are kept",
         more={f"{h} h": {"peak_mb": m} for h, m in peaks.items()},
     )
+
+
+def _whole(scenario: str) -> Iterator[Row]:
+    """Yield what the command takes that diagnoses a simulated recording, at 100 Hz, from its Parquet."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, answer = (str(Path(folder) / name) for name in ("recording.parquet", "answer.json"))
+        made, _ = _spent("simulate", scenario, "--out", file, "--quiet")
+        taken, peak = _spent("diagnose", file, "--json", answer, "--quiet")
+    judged = scenario == "day"
+    longer = f"{taken / made:.2g} times as long as to simulate it"
+    for what, value, unit, goal, beside in (
+        ("processor", taken, "s", DAY_S, longer),
+        ("peak memory", peak, "MB", DAY_MB, ""),
+    ):
+        yield Row(
+            "6",
+            f"diagnosis of `simulate {scenario}` at 100 Hz, {what}",
+            value,
+            unit,
+            goal=f"{goal:g} {unit}" if judged else "",
+            met=value <= goal if judged else None,
+            margin=goal / value if judged else None,
+            accuracy=beside,
+        )
+
+
+def _spent(*arguments: str) -> tuple[float, float]:
+    """Run the command; return its processor's seconds and its peak memory, MB."""
+    process = subprocess.Popen([sys.executable, "-m", "stillcal", *arguments])
+    _, status, used = os.wait4(process.pid, 0)
+    if os.waitstatus_to_exitcode(status) != 0:
+        raise RuntimeError(f"stillcal {' '.join(arguments)} failed")
+    return used.ru_utime + used.ru_stime, used.ru_maxrss / 1024.0
