@@ -27,7 +27,8 @@ def run(folder: Path, *arguments: object, out: str = "out.json") -> dict[str, An
     return answer
 
 
-@pytest.mark.parametrize("pair", [("imu0", "imu2"), pytest.param(("imu1", "imu2"), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("pair", [("imu0", "imu2"), ("imu1", "imu2")])
+@pytest.mark.slow
 def test_biases_differ_by_what_their_calibrations_do(
     data_dir: Path, tmp_path: Path, pair: tuple[str, str]
 ) -> None:

@@ -75,6 +75,7 @@ def recording(
     return Recording(accel, gyro, [], Claims(), [], name=name)
 
 
+@pytest.mark.slow
 def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> None:
     bias = np.array([0.05, 0.0, 0.0])
     shown: list[tuple[str, float]] = []
@@ -98,6 +99,7 @@ def test_what_a_paired_simulation_lacks_is_found_though_nothing_is_at_rest() -> 
     assert {"gyro_nonlinearity", "lever_arm", "accel_gyro_time_offset"}.isdisjoint(reasons)
 
 
+@pytest.mark.slow
 def test_samples_that_one_of_the_two_holds_leave_nothing_that_follows_motion() -> None:
     real = turned(1)
     assert real.gyroscope is not None

@@ -73,6 +73,7 @@ def test_one_vibration_at_four_hz_is_no_difference_whichever_side_of_it_it_is_to
         assert ("unknown", "lacking") in differing(compared(below, resting(2, 400.0, other)))
 
 
+@pytest.mark.slow
 def test_a_band_that_may_hide_a_line_of_the_other_recording_is_no_absence_of_it() -> None:
     """Its rests would show the line elsewhere, but have as much power at its own frequency."""
     plain, rng = resting(2, 400.0, {}), np.random.default_rng(4)
@@ -161,6 +162,7 @@ def on_its_way(whole: Samples, hz: float) -> Samples:
     return replace(whole, xyz=frozen(xyz))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of_recording", [True, False])
 def test_beside_what_one_lay_on_a_vibration_of_the_other_is_told(of_recording: bool) -> None:
     """One of 11 Hz, all along the other recording, was not compared for that, and the verdict was a match."""
@@ -196,6 +198,7 @@ def _off_every_other(on: Samples, off: Samples, seconds: float = 40.0) -> Sample
 FIVE = {7.13: 0.03, 10.871: 0.03, 13.957: 0.03, 17.713: 0.03, 21.631: 0.03}
 
 
+@pytest.mark.slow
 def test_a_line_is_missed_beside_however_many_others() -> None:
     """Three lines are stated of any rests: beside those that they had, none that was put in was seen."""
     four = {8.317: 0.03, 12.27: 0.03, 15.83: 0.03, 19.87: 0.03}

@@ -572,6 +572,7 @@ def test_a_vibration_that_fills_one_rest_of_many_is_of_what_the_phone_lay_on(
         ([(200.0, 244.0)], [(208.0, 236.0)], []),  # it fills one rest, as the accelerometer shows
     ],
 )
+@pytest.mark.slow
 def test_of_what_the_phone_lay_on_both_sensors_say_the_same(
     felt: list[tuple[float, float]], turned: list[tuple[float, float]], told: list[str]
 ) -> None:
