@@ -47,12 +47,9 @@ def run(quick: bool) -> Iterator[Row]:
         "diagnosis of 1 h at 50 Hz, both sensors",
         taken[60].spread(1.0),
         "s",
-        goal=f"{HOUR_S:g} s",
-        met=taken[60].median <= HOUR_S,
-        margin=HOUR_S / taken[60].median,
         accuracy=f"grows as length to the {slope:.2f}",
         more={f"{m} min": {"seconds": s} for m, s in zip(taken, usual, strict=True)},
-    )
+    ).at_most(HOUR_S, taken[60].median)
     yield _tables(ROWS[:2] if quick else ROWS)
     yield _memory(subject, HOURS[:2] if quick else HOURS)
     yield from _whole("tables" if quick else "day")
@@ -62,18 +59,15 @@ def _tables(rows: tuple[int, ...]) -> Row:
     """Return how the diagnosis of a table of rests grows with its rows."""
     taken = {n: rounds({"ours": lambda n=n: diagnose_rests(_rests(n), "table")}, 1)["ours"] for n in rows}
     usual = [t.median for t in taken.values()]
-    largest = rows[-1] == ROWS[-1]
-    return Row(
+    row = Row(
         "6",
         f"diagnosis of a table of {rows[-1]} rests",
         usual[-1],
         "s",
-        goal=f"{TABLE_S:g} s" if largest else "",
-        met=usual[-1] <= TABLE_S if largest else None,
-        margin=TABLE_S / usual[-1] if largest else None,
         accuracy=f"{usual[-1] / usual[0]:.2g} times as long as of {rows[0]} rests",
         more={f"{n} rests": {"seconds": s} for n, s in zip(taken, usual, strict=True)},
     )
+    return row.at_most(TABLE_S, usual[-1]) if rows[-1] == ROWS[-1] else row
 
 
 def _rests(n: int) -> list[RestState]:
@@ -129,22 +123,13 @@ def _whole(scenario: str) -> Iterator[Row]:
         file, answer = (str(Path(folder) / name) for name in ("recording.parquet", "answer.json"))
         made, _ = _spent("simulate", scenario, "--out", file, "--quiet")
         taken, peak = _spent("diagnose", file, "--json", answer, "--quiet")
-    judged = scenario == "day"
     longer = f"{taken / made:.2g} times as long as to simulate it"
-    for what, value, unit, goal, beside in (
-        ("processor", taken, "s", DAY_S, longer),
-        ("peak memory", peak, "MB", DAY_MB, ""),
-    ):
-        yield Row(
-            "6",
-            f"diagnosis of `simulate {scenario}` at 100 Hz, {what}",
-            value,
-            unit,
-            goal=f"{goal:g} {unit}" if judged else "",
-            met=value <= goal if judged else None,
-            margin=goal / value if judged else None,
-            accuracy=beside,
-        )
+    what = f"diagnosis of `simulate {scenario}` at 100 Hz"
+    processor = Row("6", f"{what}, processor", taken, "s", accuracy=longer)
+    memory = Row("6", f"{what}, peak memory", peak, "MB")
+    judged = scenario == "day"
+    yield processor.at_most(DAY_S, taken) if judged else processor
+    yield memory.at_most(DAY_MB, peak) if judged else memory
 
 
 def _spent(*arguments: str) -> tuple[float, float]:

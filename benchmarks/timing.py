@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,11 @@ class Row:
     accuracy: str = ""
     margin: float | None = None
     more: dict[str, Any] = field(default_factory=dict)
+
+    def at_most(self, most: float, value: float) -> Row:
+        """Return it with the goal that a value of its unit, its own or its median, is at most so large."""
+        margin = most / value if value else None
+        return replace(self, goal=f"{most:g} {self.unit}", met=value <= most, margin=margin)
 
 
 def rounds(cases: Mapping[str, Callable[[], Any]], count: int, calls: int = 1) -> dict[str, Timed]:

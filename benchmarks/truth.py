@@ -394,17 +394,9 @@ def _errors(rows: np.ndarray) -> Iterator[Row]:
             accuracy = f"95 % intervals that hold: {_holds(own)}"
             for what, value, goal in (("median", median, median_goal), ("95th percentile", high, high_goal)):
                 ours = who == "stillcal"
-                yield Row(
-                    "7",
-                    f"{sensor}, {who}: {what}",
-                    value,
-                    unit,
-                    goal=f"{goal:g} {unit}" if ours else "",
-                    met=value <= goal if ours else None,
-                    accuracy=accuracy,
-                    margin=goal / value if ours else None,
-                    more=_by_part(own) if ours and what == "median" else {},
-                )
+                parts = _by_part(own) if ours and what == "median" else {}
+                row = Row("7", f"{sensor}, {who}: {what}", value, unit, accuracy=accuracy, more=parts)
+                yield row.at_most(goal, value) if ours else row
         yield from _beside_best_rival(rows, sensor)
 
 
@@ -440,8 +432,7 @@ def _costs(costs: list[Cost]) -> Iterator[Row]:
     }
     for what, (share, goal) in shares.items():
         percent = 100.0 * float(share)
-        margin = goal / percent if percent else None
-        yield Row("7", what, percent, "%", goal=f"{goal:g} %", met=percent <= goal, margin=margin)
+        yield Row("7", what, percent, "%").at_most(goal, percent)
 
 
 @click.command()
