@@ -92,8 +92,11 @@ class Stream:
         still = quiet(calm, bins, heard) if lines else rests
         raw = still if calm is samples else quiet(samples, bins, heard)
         found = _noise_of(still, seen, sensor)
-        one = cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found)
-        return replace(one, passing=passing)
+        return cls(sensor, samples, calm, bins, lines, period, still, raw, seen, *found, passing=passing)
+
+    def is_passing(self, line: Finding) -> bool:
+        """Whether one of its lines is of what the device lay on for a while."""
+        return any(line is one for one in self.passing)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -193,8 +196,7 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     cut_off = saturation(samples, sensor, np.maximum(stream.steps.sd, 1e-9), declared)
     found = [held, comb, cut_off, step_change(samples, sensor)]
     if not stream.steps.hides_noise():
-        lasting = [f for f in stream.lines if not any(f is one for one in stream.passing)]
-        found += [*lasting, stream.period]
+        found += [*(f for f in stream.lines if not stream.is_passing(f)), stream.period]
         if share < repeats.MANY:
             found += _at_rest(stream, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])
@@ -261,7 +263,7 @@ def agreed(streams: Sequence[Stream]) -> list[Stream]:
 
     The other one may show only its loudest part.
     """
-    lines = [(f, any(f is one for one in s.passing)) for s in streams for f in s.lines]
+    lines = [(f, s.is_passing(f)) for s in streams for f in s.lines]
 
     def passes(line: Finding) -> bool:
         same = [

@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.effects.catalogue import own_effects
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.bayes_factor import SIZES
 from stillcal.calib_core.diagnosis.inference.likelihood import highest, reduce_residuals
+from stillcal.calib_core.diagnosis.inference.noise_models import of_same_noise
 from stillcal.calib_core.diagnosis.model.effect import Effect, Grid
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, estimate
@@ -85,10 +86,11 @@ def in_every_view(residuals: SensorResiduals, effect: Effect, grid: Grid) -> Hyp
 
 def with_effect(residuals: SensorResiduals, true: Hypothesis, value: Array) -> SensorResiduals:
     """Return residuals with an effect of parameters `value` (k,) put in."""
-    views = tuple(replace(v, y=v.y + c @ value) for v, c in zip(residuals.views, true.columns, strict=True))
-    for new, old in zip(views, residuals.views, strict=True):
-        new.memo.update(old.memo)  # the noise models do not depend on the residuals
-    return replace(residuals, views=views)
+    views = (
+        of_same_noise(replace(v, y=v.y + c @ value), v)
+        for v, c in zip(residuals.views, true.columns, strict=True)
+    )
+    return replace(residuals, views=tuple(views))
 
 
 def fitted(residuals: SensorResiduals, effect: Effect) -> Estimate:

@@ -147,15 +147,15 @@ class LinesOf:
         rate = 1.0 / max(self._period, sample_period(exam.accelerometer.t))
         if finding.where.driver == PERIOD:
             return next(
-                (may_be_same("vibration", line) for line in self._of(sensor) if _near(finding, line)), None
+                (_may_be_same("vibration", line) for line in self._of(sensor) if _near(finding, line)), None
             )
         for line in self._of(sensor):
             pair = middle_hz(finding), middle_hz(line)
             if same_line(*pair, rate, max(reach_hz(finding), reach_hz(line))):
-                return may_be_same("vibration", line) + (", folded back" if max(pair) > rate / 2.0 else "")
+                return _may_be_same("vibration", line) + (", folded back" if max(pair) > rate / 2.0 else "")
         period = self._streams[sensor].period
         if period is not None and _near(finding, period):
-            return may_be_same("steady period", period)
+            return _may_be_same("steady period", period)
         if sensor not in self._hidden:
             lines = [f for f in own if f.sensor == sensor and is_line(f)]
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
@@ -174,7 +174,7 @@ def _near(one: Finding, other: Finding) -> bool:
     return abs(pair[0] - pair[1]) < CLOCKS * max(pair)
 
 
-def may_be_same(what: str, line: Finding) -> str:
+def _may_be_same(what: str, line: Finding) -> str:
     """Say that what another recording has may be a line, as it is called here."""
     return f"its {what} at {middle_hz(line):.4g} Hz may be the same one"
 

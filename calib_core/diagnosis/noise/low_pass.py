@@ -247,13 +247,21 @@ def _of_most_axes(typical: Array, band: NDArray[np.bool_], averages: float) -> t
     level = np.maximum(np.median(typical[band], axis=0), np.finfo(np.float64).tiny)
     parts = typical / level
     logs = np.log(np.maximum(parts[band], np.finfo(np.float64).tiny))
-    by_chance = CLEAN + 2.0 * np.pi / 2.0 / averages
+    by_chance = _by_chance(averages)
     if _apart(logs) < by_chance:
         return np.asarray(typical.mean(axis=1)), 1.0
     alike = min(([0, 1], [0, 2], [1, 2]), key=lambda two: _apart(logs[:, two]))
     if _apart(logs[:, alike]) < by_chance:
         return np.asarray(level.mean() * parts[:, alike].mean(axis=1)), 3.0 / 2.0
     return np.asarray(level.mean() * np.median(parts, axis=1)), OF_MEDIAN
+
+
+def _by_chance(averages: float) -> float:
+    """Return up to which variance logarithms of power scatter by chance, of so many independent spectra.
+
+    Their median's is pi/2 over their number; so much again is allowed.
+    """
+    return CLEAN + 2.0 * np.pi / 2.0 / averages
 
 
 def _apart(logs: Array) -> float:
@@ -288,8 +296,7 @@ def _low_pass(
         fits.append((float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)))
     least, k, order, misfit, shape, rounded = min(fits, key=lambda fit: fit[0])
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
-    # A median of spectra scatters by pi/2 over their number.
-    clean = least < CLEAN + 2.0 * np.pi / 2.0 * scatter / (3.0 * averages)
+    clean = least < _by_chance(3.0 * averages / scatter)
     inside = f[band][0] < cutoffs[k] < cutoffs[-1]
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None

@@ -117,13 +117,15 @@ def lattice(code: Index) -> Repeats | None:
     they come one after the other, or among such as are louder than noise and not as far off.
     """
     left = 6.0 * residual(code.astype(np.float64)[:, None])[:, 0]
-    noise, found = float(spread(left[:, None])[0]), []
+    size, noise, found = np.abs(left), float(spread(left[:, None])[0]), []
     for bit in range(BITS_OFF[0], BITS_OFF[1] + 1):
         period = float(2**bit)
         if period < CLEAR * noise:
             continue
-        single = _single(np.abs(left) > period / 2.0)
-        far = left[single[~_shaken(np.abs(left), noise, period / 2.0)[single]]]
+        single = _single(size > period / 2.0)
+        if single.size < FEWEST_FAR:
+            continue
+        far = left[single[~_shaken(size, noise, period / 2.0)[single]]]
         if far.size < FEWEST_FAR:
             continue
         waves = float(np.cos(2.0 * np.pi * far / period).sum())

@@ -88,9 +88,10 @@ def about_point(residuals: SensorResiduals, effects: Sequence[Hypothesis]) -> Se
         return residuals
     # Also in views in which it is not sought: it was taken off the force that all of them are made of.
     columns = made.columns_of(_response(made, own))
-    moved = ((v, replace(v, y=v.y + c @ value)) for v, c in zip(made.views, columns, strict=True))
-    views = (of_same_noise(anew, v) for v, anew in moved)
-    return replace(made, bins=residuals.bins, views=tuple(views))
+    views = tuple(
+        of_same_noise(replace(v, y=v.y + c @ value), v) for v, c in zip(made.views, columns, strict=True)
+    )
+    return replace(made, bins=residuals.bins, views=views)
 
 
 def _without(

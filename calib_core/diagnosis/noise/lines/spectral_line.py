@@ -121,12 +121,18 @@ class AtRest:
         share += float(self.short.share[again].sum() / self.short.share.sum())
         return bool(share <= WAITING or (whole and own[0] <= ONE_REST * (last - first).sum()))
 
+    @cached_property
+    def _ratio(self) -> Array:
+        """Power of the short stretches over that of their neighbourhood, (S, F, 3)."""
+        assert self.short is not None, "stretches that may show a line"
+        return self.short.ratio()
+
     def _shown(self, line: Finding) -> NDArray[np.bool_]:
         """Return which short stretches (S,) show a line by themselves: of several spells one run is told."""
         assert self.short is not None, "a line of short stretches"
         reach = reach_hz(line) + APART_HZ / NEAR
         near = np.abs(self.short.f - middle_hz(line)) <= reach
-        ratio = self.short.ratio()[:, near]
+        ratio = self._ratio[:, near]
         return np.asarray(ratio.max(axis=(1, 2)) > never_by_chance(ratio.size))
 
     @cached_property
