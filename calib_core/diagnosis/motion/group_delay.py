@@ -14,8 +14,7 @@ from stillcal.calib_core.diagnosis.noise.low_pass import LowPass, Spectra, low_p
 DELAY = "accel_gyro_time_offset"
 
 UNSURE = 0.15
-"""Part of 1 / (2 pi cutoff) by which a low-pass' delay is unsure. Orders and kinds are hard to tell apart: an
-average of the first order delays by half a sample less than an analogue filter."""
+"""Part of 1 / (2 pi cutoff) by which a low-pass' delay is unsure, besides what its kinds that fit differ."""
 
 ANY_ORDER = 0.8
 """The same where the order is not known: filters of the first to the fourth order delay by 1 to 2.6 of it."""
@@ -48,7 +47,7 @@ class FilterDelay:
             return None
         every = {s: one.low_pass or one.wide for s, one in spectra.items()}
         seen = {s: one for s, one in every.items() if one is not None}
-        late = {s: _late(one) for s, one in seen.items()}
+        late = {s: one.late.value for s, one in seen.items()}
         units = {s: _unit(one) for s, one in seen.items()}
         expected = late.get("gyro", 0.0) - late.get("accel", 0.0)
         if expected == 0.0:
@@ -56,6 +55,7 @@ class FilterDelay:
         sensor = "gyro" if expected > 0.0 else "accel"
         unit = abs(units.get("gyro", 0.0) - units.get("accel", 0.0))
         own = [units[s] * one.cutoff.error / one.cutoff.value for s, one in seen.items()]
+        own.extend(one.late.error for one in seen.values())
         unsure = UNSURE if all(one.order_known for one in seen.values()) else ANY_ORDER
         shared = 0.5 * expected if len(spectra) < 2 else 0.0
         error = float(np.linalg.norm([unsure * unit, *own, shared]))
@@ -95,11 +95,3 @@ class FilterDelay:
 
 def _unit(low_pass: LowPass) -> float:
     return 1.0 / (2.0 * np.pi * low_pass.cutoff.value)
-
-
-def _late(low_pass: LowPass) -> float:
-    """Return by how much a Butterworth low-pass of order n delays slow motion, s.
-
-    1 / (2 pi cutoff sin(pi / 2n)), the slope of its phase at zero frequency.
-    """
-    return float(_unit(low_pass) / np.sin(np.pi / (2.0 * low_pass.order)))

@@ -32,7 +32,13 @@ SEGMENT = 256
 SHORTEST = 64
 LOWEST = 0.02
 CUTOFFS = 240
-ORDERS = (1, 2, 4)
+ORDERS = (1, 2, 3, 4)
+RARE = (3,)
+"""Orders that are told only where no other one fits as well: noise hardly parts them from others."""
+
+PASSES = (2, 3)
+"""How often a first-order low-pass may follow another one like it, as where software smooths twice."""
+
 FASTER = (1, 2, 4, 16)
 """Times the sample rate at which a sensor filters: at the last its filter is as good as analogue."""
 USED_RANGE = 3.5
@@ -103,7 +109,8 @@ def _pieces(first: Sequence[int], last: Sequence[int], rest: Sequence[int]) -> l
 class LowPass:
     """A low-pass: cutoff Hz, its shape (F,) of power at the spectra's frequencies, how far flat is worse.
 
-    rounded: part of the power at low frequency that is the steps' own.
+    rounded: part of the power at low frequency that is the steps' own. late: s, how much it delays slow
+    motion, by all kinds of filters of this order that fit as well.
     """
 
     cutoff: Measured
@@ -111,6 +118,7 @@ class LowPass:
     gain: float
     order: int
     rounded: float
+    late: Measured
 
     @property
     def order_known(self) -> bool:
@@ -213,19 +221,76 @@ def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
     return own if own.mean() < 1.0 - QUIETEST else np.ones_like(own)
 
 
-def _shapes(f: Array, cutoffs: Array, rate: float) -> list[tuple[int, Array]]:
-    """Return (order, shapes (C, F)) of analogue filters, bilinear ones and averages of cutoffs (C,) Hz.
+@dataclass(frozen=True, slots=True, eq=False)
+class Kind:
+    """Low-passes of one kind, each halving the power at its cutoff (C,).
 
-    An exponential average, y[n] = (1 - a) x[n] + a y[n - 1], is of the first order and goes as the sine.
+    shapes: (C, F) of power, 1 at low frequency; late: (C,) s, how much it delays slow motion; order: of the
+    Butterworth low-pass that is most like it; common: whether it goes before others that fit as well.
     """
-    half = np.pi * np.minimum(f, 0.4999 * rate) / rate, np.pi * cutoffs / rate
-    bilinear = [(n, _bilinear(f, cutoffs, rate, times, n)) for times, n in product(FASTER, ORDERS)]
-    analogue = [(n, 1.0 / (1.0 + (f[None, :] / cutoffs[:, None]) ** (2 * n))) for n in ORDERS]
-    return [*analogue, *bilinear, (1, 1.0 / (1.0 + (np.sin(half[0]) / np.sin(half[1])[:, None]) ** 2))]
+
+    order: int
+    shapes: Array
+    late: Array
+    common: bool = True
 
 
-def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> Array:
-    """Return the power (C, F) of noise behind a bilinear filter at `times` the rate, 1 at low frequency.
+def _kinds(f: Array, cutoffs: Array, rate: float) -> list[Kind]:
+    """Return filters of cutoffs (C,) Hz: analogue, bilinear, exponential averages and moving means."""
+    below = np.minimum(f, 0.4999 * rate)
+    ratio = f[None, :] / cutoffs[:, None]
+    turn = 2.0 * np.pi * cutoffs
+    analogue = [
+        Kind(n, 1.0 / (1.0 + ratio ** (2 * n)), 1.0 / (turn * np.sin(np.pi / (2 * n))), n not in RARE)
+        for n in ORDERS
+    ]
+    late = [n * np.sqrt(2.0 ** (1.0 / n) - 1.0) / turn for n in PASSES]
+    repeated = [Kind(2, _repeated(ratio, n), by, False) for n, by in zip(PASSES, late, strict=True)]
+    bilinear = [_bilinear(f, cutoffs, rate, times, n) for times, n in product(FASTER, ORDERS)]
+    averages = [_exponential(below / rate, cutoffs / rate, rate, n) for n in (1, *PASSES)]
+    return [*analogue, *bilinear, *averages, *repeated, _moving_mean(f / rate, cutoffs / rate, rate)]
+
+
+def _repeated(ratio: Array, passes: int) -> Array:
+    """Return the power behind so many first-order low-passes, half of it at a ratio of 1."""
+    return np.asarray((1.0 + (2.0 ** (1.0 / passes) - 1.0) * ratio**2) ** -float(passes))
+
+
+def _exponential(f: Array, cutoffs: Array, rate: float, passes: int) -> Kind:
+    """Return exponential averages, y[n] = (1 - a) x[n] + a y[n - 1]. f, cutoffs: parts of the rate.
+
+    They are of the first order and go as the sine; each delays by a / (1 - a) samples.
+    """
+    at_cutoff = np.sin(np.pi * cutoffs)
+    edge = at_cutoff / np.sqrt(2.0 ** (1.0 / passes) - 1.0)
+    root = np.sqrt(1.0 + edge**2) - edge
+    shapes = _repeated(np.sin(np.pi * f)[None, :] / at_cutoff[:, None], passes)
+    return Kind(min(passes, 2), shapes, passes * root / (2.0 * edge * rate), passes == 1)
+
+
+def _moving_mean(f: Array, cutoffs: Array, rate: float) -> Kind:
+    """Return means of the last n samples. f, cutoffs: parts of the rate.
+
+    A Hann window spreads what is beside a zero of the filter into it.
+    """
+    few, many = np.ones_like(cutoffs), 1.0 / cutoffs
+    for _ in range(40):
+        middle = 0.5 * (few + many)
+        more = _mean_power(cutoffs, middle) > 0.5
+        few, many = np.where(more, middle, few), np.where(more, many, middle)
+    sides = [_mean_power(np.abs(f + k * f[1])[None, :], few[:, None]) for k in (-1, 0, 1)]
+    shapes = sides[1] * 2.0 / 3.0 + (sides[0] + sides[2]) / 6.0
+    return Kind(2, shapes, (few - 1.0) / (2.0 * rate), False)
+
+
+def _mean_power(f: Array, many: Array) -> Array:
+    """Return the power that the mean of so many samples leaves at f, parts of the rate."""
+    phase = np.pi * np.maximum(f, 1e-9)
+    return np.asarray((np.sin(many * phase) / (many * np.sin(phase))) ** 2)
+
+
+def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> Kind:
+    """Return bilinear filters at `times` the rate.
 
     Of such samples every so-many-th is read: what the filter leaves beyond half the rate folds back.
     """
@@ -234,7 +299,8 @@ def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> 
     warped = np.tan(np.pi * np.minimum(images, 0.4999 * times * rate) / (times * rate))
     edge = np.tan(np.pi * cutoffs / (times * rate))
     power = (1.0 / (1.0 + (warped / edge[:, None, None]) ** (2 * order))).sum(axis=1)
-    return np.asarray(power / power[:, :1])
+    late = 1.0 / (2.0 * times * rate * edge * np.sin(np.pi / (2 * order)))
+    return Kind(order, np.asarray(power / power[:, :1]), late, order not in RARE)
 
 
 def _of_most_axes(typical: Array, band: NDArray[np.bool_], averages: float) -> tuple[Array, float]:
@@ -287,27 +353,57 @@ def _low_pass(
     used = band & (logs > np.quantile(logs[band], 0.9) - USED_RANGE)
     seen = logs[used]
     cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
-    fits: list[tuple[float, int, int, Array, Array, float]] = []
-    for order, shapes in _shapes(f, cutoffs, rate):
-        level = np.median(np.maximum(power[used] - floor, 0.2 * power[used]) / shapes[:, used], axis=1)
-        models = (level[:, None] * shapes + floor) / (level[:, None] + floor)
-        misfit = (seen - np.log(models[:, used])).var(axis=1)
+    fits: list[_Fit] = []
+    for kind in _kinds(f, cutoffs, rate):
+        bent = kind.shapes[:, used]
+        level = np.median(np.maximum(power[used] - floor, 0.2 * power[used]) / bent, axis=1)
+        misfit = (seen - np.log((level[:, None] * bent + floor) / (level[:, None] + floor))).var(axis=1)
         k = int(np.argmin(misfit))
-        fits.append((float(misfit[k]), k, order, misfit, models[k], floor / float(level[k] + floor)))
-    least, k, order, misfit, shape, rounded = min(fits, key=lambda fit: fit[0])
+        whole = float(level[k]) + floor
+        shape = (float(level[k]) * kind.shapes[k] + floor) / whole
+        fits.append(_Fit(kind.order, k, misfit, shape, float(kind.late[k]), floor / whole, kind.common))
+    least = min(fit.least for fit in fits)
+
+    def as_good_as_best(fit: _Fit) -> bool:
+        return bool(seen.size * (fit.least - least) / least < 4.0 * SHARED)
+
+    common = [fit for fit in fits if fit.common]
+    of_kind = common if any(map(as_good_as_best, common)) else [fit for fit in fits if not fit.common]
+    best = min(of_kind, key=lambda fit: fit.least)
+    least, k = best.least, best.k
     gain = seen.size * (float(seen.var()) - least) / max(least, 1e-12)
     clean = least < _by_chance(3.0 * averages / scatter)
     inside = f[band][0] < cutoffs[k] < cutoffs[-1]
     if not inside or gain < thresholds.BANDWIDTH_GAIN or not clean:
         return None
-    as_good = [fit[4] for fit in fits if seen.size * (fit[0] - least) / least < 4.0 * SHARED]
-    if _level_beyond(logs, np.max(as_good, axis=0), band, used):
+    as_good = [fit for fit in of_kind if as_good_as_best(fit)]
+    if _level_beyond(logs, np.max([fit.shape for fit in as_good], axis=0), band, used):
         return None
-    near = np.concatenate([cutoffs[seen.size * (fit[3] - least) / least < 4.0] for fit in fits])
+    near = np.concatenate([cutoffs[seen.size * (fit.misfit - least) / least < 4.0] for fit in of_kind])
     # What steps do to noise as fine as they are is no white noise: as much as it is of the power is unsure.
-    unsure = (MODEL + rounded) * float(cutoffs[k])
+    unsure = (MODEL + best.rounded) * float(cutoffs[k])
     spread = max(float(np.sqrt(SHARED)) * float(np.ptp(near)) / 4.0, unsure)
-    return LowPass(Measured(_between(cutoffs, misfit, k), spread), shape, gain, order, rounded)
+    alike = [fit.late for fit in as_good if fit.order == best.order]
+    late = Measured(best.late, float(np.ptp(alike)) / 2.0)
+    cutoff = Measured(_between(cutoffs, best.misfit, k), spread)
+    return LowPass(cutoff, best.shape, gain, best.order, best.rounded, late)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """The best low-pass of one kind: its place k in the grid, the misfits (C,) of all, what it does."""
+
+    order: int
+    k: int
+    misfit: Array
+    shape: Array
+    late: float
+    rounded: float
+    common: bool
+
+    @property
+    def least(self) -> float:
+        return float(self.misfit[self.k])
 
 
 def _level_beyond(logs: Array, shape: Array, band: NDArray[np.bool_], used: NDArray[np.bool_]) -> bool:

@@ -65,6 +65,28 @@ def test_what_a_faster_filter_leaves_folds_back(order: int, times: int, cutoff: 
     assert told.value == pytest.approx(cutoff, abs=2.5 * told.error) and told.error < 0.07 * cutoff
 
 
+@pytest.mark.parametrize(
+    ("taps", "poles", "cutoff", "samples_late"),
+    [
+        ([1.0 / 7.0] * 7, 0, 6.39, 3.0),
+        ([0.53], 2, 8.0, 2 * 0.47 / 0.53),
+        ([0.6], 3, 7.78, 3 * 0.4 / 0.6),
+    ],
+)
+def test_smoothing_by_software_is_told_by_its_own_cutoff_and_delay(
+    taps: list[float], poles: int, cutoff: float, samples_late: float
+) -> None:
+    """Of two exponential averages in a row, half of the power at 8 Hz, 4.99 Hz were told, +- 0.2."""
+    filtered = np.random.default_rng(1).normal(size=(40, 1300, 3))
+    for _ in range(max(poles, 1)):
+        recursion = [1.0, sum(taps) - 1.0] if poles else [1.0]
+        filtered = lfilter(taps, recursion, filtered, axis=1)
+    found = judged(quiet(filtered[:, 300:]))
+    assert found is not None and found.low_pass is not None
+    assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.03)
+    assert found.low_pass.late.value * RATE == pytest.approx(samples_late, rel=0.06)
+
+
 @pytest.mark.parametrize("behind", ["white", "hum"])
 def test_what_one_axis_alone_has_behind_the_filter_hides_none(behind: str) -> None:
     """A hum of one axis of a real gyroscope hid a filter of 25 Hz; white noise on one moved 31 Hz to 44."""
