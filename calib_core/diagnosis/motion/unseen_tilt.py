@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.model.settings import JUMP
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
-from stillcal.calib_core.diagnosis.segments.leaning import ACROSS, OFTEN, PUSH
+from stillcal.calib_core.diagnosis.segments.leaning import ACROSS, FASTEST, OFTEN, PUSH
 from stillcal.calib_core.diagnosis.segments.orientation import GRAVITY, LONGEST_GAP, MOST_OF_BIAS
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.rests.rest_edges import rest_edges
@@ -178,7 +178,11 @@ def unseen_tilt(
     # What turns while gravity stays where it was is the gyroscope's; where it turned half as far in whatever
     # direction, its axes may be at fault.
     log_chance[(steps.seen < 0.5 * steps.angle) | (moved > 0.5 * steps.angle)] = 0.0
-    return _finding(steps, error, log_chance, _across(force, steps), overview.span[0])
+    found = _sure(steps, log_chance)
+    pushes = _across(force, steps)[found] & _brief(steps, found, runs)
+    if np.count_nonzero(pushes) >= OFTEN:
+        found = [i for i, push in zip(found, pushes, strict=True) if not push]
+    return _finding(steps, error, log_chance, found, overview.span[0]) if found else None
 
 
 def _across(force: Windows, steps: Steps) -> NDArray[np.bool_]:
@@ -238,13 +242,26 @@ def _errors(steps: Steps, moved: Array, rounding: tuple[Array | None, Array | No
     return np.asarray(np.sqrt(variance))
 
 
-def _finding(
-    steps: Steps, error: Array, log_chance: Array, across: NDArray[np.bool_], start: float
-) -> Finding | None:
-    """State the jumps that are sure, each once. start: s, of the first window.
+def _brief(steps: Steps, found: list[int], runs: Sequence[tuple[int, int]]) -> NDArray[np.bool_]:
+    """Whether jumps found may start or end a push: one for longer, before and after, is too fast.
 
-    across: (m,) whether each may be a push of what carries the phone: a few of these are.
+    runs: [first, last) windows at rest, in which the phone keeps its attitude.
     """
+    at, (begins, ends) = steps.at[found], np.array(runs, dtype=np.float64).T
+    others = np.sort(at)
+    before = at - np.maximum(
+        begins[np.searchsorted(begins, at) - 1], np.append(-np.inf, others)[np.searchsorted(others, at)]
+    )
+    after = -at + np.minimum(
+        ends[np.searchsorted(ends, at, side="right")],
+        np.append(others, np.inf)[np.searchsorted(others, at, side="right")],
+    )
+    lasts = WINDOW * np.minimum(before, after)
+    return np.asarray(GRAVITY * steps.angle[found] * lasts < FASTEST)
+
+
+def _sure(steps: Steps, log_chance: Array) -> list[int]:
+    """Return the jumps that are sure, each once, the surest first."""
     tries = float(log_chance.size)
     found: list[int] = []
     for i in np.argsort(log_chance):
@@ -252,10 +269,14 @@ def _finding(
             break
         if all(abs(steps.at[i] - steps.at[j]) > REACH for j in found):
             found.append(int(i))
-    if np.count_nonzero(across[found]) >= OFTEN:
-        found = [i for i in found if not across[i]]
-    if not found:
-        return None
+    return found
+
+
+def _finding(
+    steps: Steps, error: Array, log_chance: Array, found: Sequence[int], start: float
+) -> Finding | None:
+    """State the jumps found, the surest first. start: s, of the first window."""
+    tries = float(log_chance.size)
     surest = found[0]
     times = [start + WINDOW * float(steps.at[i]) for i in found]
     angle, half = float(steps.angle[surest]), NORMAL_95 * float(error[surest])

@@ -67,6 +67,20 @@ def test_what_a_train_pushes_as_it_starts_and_stops_is_no_fault_of_a_sensor(
     assert (found is not None) == told
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "told"), [(300.0, 700.0, True), (300.0, 400.0, False), (30.0, 970.0, False)]
+)
+def test_what_pushes_for_longer_than_anything_gets_faster_is_a_bias(
+    first: float, last: float, told: bool
+) -> None:
+    """0.5 m/s^2 for 300 s is 540 km/h. What is off for 30 s at either end may be a push."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 1000.0, 1.0 / 25.0)
+    force = [0.0, 0.0, G] + ((t >= first) & (t < last))[:, None] * [0.5, 0.0, 0.0]
+    force = Samples.checked(Sensor.ACCELEROMETER, t, force + 0.01 * rng.normal(size=(t.size, 3)))
+    rate = Samples.checked(Sensor.GYROSCOPE, t, 1e-3 * rng.normal(size=(t.size, 3)))
+    assert (tilts(force, rate) is not None) == told
+
+
 def test_a_nudge_that_both_see_is_silent() -> None:
     """Quick and slow, on a gyroscope whose scale is 3 % off, beside a bias that walks."""
     for seed, (nudge, lasts, walk) in enumerate([(0.02, 0.1, 0.0), (0.05, 0.5, 3e-3), (0.02, 8.0, 1e-2)]):

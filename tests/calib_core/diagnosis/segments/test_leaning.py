@@ -58,3 +58,25 @@ def test_rests_in_which_a_train_pushes_are_none(along: float, rests: int, kept: 
     pushed = ((t % 300.0 > 200.0) & np.isin(rest, (2, 4)[:rests]))[:, None] * [0.6, 0.0, along]
     bins = nulls.bins_of(rng, day, "white", accel_error=pushed)
     assert np.unique(without_leaning(bins).rest).size == kept
+
+
+@pytest.mark.parametrize(
+    ("what", "kept"), [("lasts", 3), ("drifts", 3), ("follows the plug", 3), ("follows no plug", 2)]
+)
+def test_a_bias_across_gravity_that_leans_for_long_slowly_or_with_the_charger_pushes_nothing(
+    what: str, kept: int
+) -> None:
+    """0.5 m/s^2 for 250 s is 450 km/h; a train that starts twice in a rest is plugged in at another time."""
+    t, rng = np.arange(2700.0), np.random.default_rng(1)
+    rest = (t // 900.0).astype(np.int64)
+    plugged = (np.abs(t - 1080.0) < 60.0) | (np.abs(t - 1500.0) < 60.0)
+    size = {
+        "lasts": np.where((rest < 2) & (t % 900.0 > 650.0), 0.5, 0.0),
+        "drifts": np.where(rest == 1, 0.6 * np.sin(2.0 * np.pi * t / 900.0), 0.0),
+        "follows the plug": 0.3 * plugged,
+        "follows no plug": 0.3 * plugged,
+    }[what]
+    charging = np.roll(plugged, 400 if what == "follows no plug" else 0).astype(np.float64)
+    day = nulls.Day(t, rest, np.tile([0.0, 0.0, 1.0], (t.size, 1)), 25.0 + 0.0 * t, charging)
+    bins = nulls.bins_of(rng, day, "white", accel_error=size[:, None] * [1.0, 0.0, 0.0])
+    assert np.unique(without_leaning(bins).rest).size == kept
