@@ -18,6 +18,12 @@ from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, Claims, F
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
+from stillcal.calib_core.diagnosis.noise.coloured_noise import (
+    Coloured,
+    coloured_noise,
+    coloured_noise_finding,
+    in_band,
+)
 from stillcal.calib_core.diagnosis.noise.gathered_noise import (
     gathered_noise,
     gathered_noise_finding,
@@ -139,7 +145,21 @@ class Stream:
 
     def measured(self) -> dict[str, Measured]:
         """Return what its noise at rest measures, on the scales of the populations of sound phones."""
-        return of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
+        out = of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
+        coloured = self.coloured()
+        return out if coloured is None else out | {"noise_coloured": coloured.size()}
+
+    def coloured(self, band: tuple[float, float] | None = None) -> Coloured | None:
+        """Return the band of its own noise that stands apart most, or what a given one has, Hz.
+
+        None where its noise does not tell: where it is hidden, or what shakes the phone is in that band.
+        """
+        if self.spectra is None or self.levels is None or self.levels.loud or self.silent:
+            return None
+        if self.steps.blurs_level() or self.repeats_many:
+            return None
+        found = coloured_noise(self.spectra) if band is None else in_band(self.spectra, band)
+        return None if found is None or any(_reaches(line, found.band) for line in self.lines) else found
 
     def coarse_values(self, lsb: float | None, usual: Usual | None) -> Finding | None:
         """Return the step that its values come in, if that is coarse (`quantisation`); None in few rests."""
@@ -235,10 +255,18 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
             found.append(shared)
             own = own if shared is None else own.less(alike.coefficient.value)
         found += noise.noise_findings(sensor, own, claim, sound, where)
+        if (colour := stream.coloured()) is not None:
+            found.append(coloured_noise_finding(colour, sensor, sound["noise_coloured"], where))
     if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
         return found
     parts = [half.measured() for half in stream.halves()]
     return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]
+
+
+def _reaches(line: Finding, band: tuple[float, float]) -> bool:
+    """Whether a line whose frequency is not one and the same reaches into a band, Hz."""
+    low, high = middle_hz(line) - reach_hz(line), middle_hz(line) + reach_hz(line)
+    return high > low and low < band[1] and high > band[0]
 
 
 def _without_echoes(found: list[Finding]) -> list[Finding]:

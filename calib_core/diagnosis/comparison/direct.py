@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE as ALIKE_DELA
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
+from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURED
 from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
@@ -225,8 +226,16 @@ def pair_of(finding: Finding, others: Sequence[Finding]) -> Finding | None:
     One vibration may be steady in one recording, and come and go in the other.
     """
     same = [o for o in others if o.sensor == finding.sensor and _same_kind(finding, o)]
+    if finding.where.driver == COLOURED:
+        same = [o for o in same if _overlap(finding.where.band_hz, o.where.band_hz)]
     same = [o for o in same if all(_alike(finding, o, name) for name in (LINE, "period_s", "period_samples"))]
     return min(same, key=lambda o: _octaves(finding, o), default=None)
+
+
+def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
+    """Whether two bands, Hz, have most of the narrower one in common."""
+    common = min(one[1], other[1]) - max(one[0], other[0])
+    return common > 0.5 * min(one[1] - one[0], other[1] - other[0])
 
 
 def _same_kind(one: Finding, other: Finding) -> bool:
@@ -263,6 +272,31 @@ def step_of_other(finding: Finding, other: Examination) -> Finding | None:
         return None
     low, high = np.ravel(own.ci95) * ratio
     return replace(finding, parameters={"step": Parameter(step, [float(low), float(high)], own.unit)})
+
+
+def band_of_other(finding: Finding, other: Examination) -> Finding | None:
+    """Return a finding of a band of noise with what another recording has in that band.
+
+    None where that does not tell it, or has no more there than sound phones have.
+    """
+    if finding.where.driver != COLOURED:
+        return None
+    found = next(
+        (s.coloured(finding.where.band_hz) for s in other.streams if s.sensor == finding.sensor), None
+    )
+    if found is None or found.size().value <= sound_phones()["noise_coloured"].highest:
+        return None
+    times = float(np.exp(found.log_ratio.value))
+    ratio = Measured(times, times * found.log_ratio.error).parameter("1")
+    return replace(finding, parameters={**finding.parameters, "ratio": ratio})
+
+
+def why_no_band(finding: Finding, other: Examination) -> str | None:
+    """Say why another recording does not tell what its noise has in a band; None where it does."""
+    if finding.where.driver != COLOURED:
+        return None
+    own = [s.coloured(finding.where.band_hz) for s in other.streams if s.sensor == finding.sensor]
+    return None if any(own) else "its noise at rest does not tell what it has in that band"
 
 
 def _octaves(one: Finding, other: Finding) -> float:
@@ -349,6 +383,7 @@ def why_not_shown(finding: Finding, other: Examination) -> str | None:
             "it has no times of arrival",
         ),
         (finding.effect == "unknown" and len(other.bins) == 0, "it is never at rest"),
+        ((why := why_no_band(finding, other)) is not None, why or ""),
         (finding.where.driver == TURNS and other.turns is None, "its turns from rest to rest are too few"),
     )
     return next((text for applies, text in reasons if applies), None)

@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import shows_
 from stillcal.calib_core.diagnosis.comparison.direct import (
     ALIKE,
     MEASURED_ELSEWHERE,
+    band_of_other,
     direct_statements,
     partner,
     quantities_of,
@@ -139,7 +140,7 @@ def differences_of_samples(
                 elif of_recording or stated is None:
                     both += _paired(*((finding, pair) if of_recording else (pair, finding)))
                 continue
-            measured = step_of_other(finding, exams[other])
+            measured = step_of_other(finding, exams[other]) or band_of_other(finding, exams[other])
             measured = measured or _same_rate(finding, exams[1 - other], exams[other])
             if measured is not None:
                 both += _paired(*((finding, measured) if of_recording else (measured, finding)))

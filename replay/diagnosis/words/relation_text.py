@@ -15,6 +15,7 @@ from stillcal.calib_core.diagnosis.effects.followed import column_of
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, LEVEL_TOLERANCE
+from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURED
 from stillcal.calib_core.diagnosis.noise.noise_level import TWO_SIDED
 from stillcal.replay.diagnosis.words.correction_code import equation_of
 from stillcal.replay.diagnosis.words.moments import moment, span
@@ -268,7 +269,7 @@ def _nameless(finding: Mapping[str, Any], recording: str, simulation: str, obser
     side = side_of(finding)
     owner, other = (simulation, recording) if side == "simulated" else (recording, simulation)
     seen = "".join(f", {text}" for text in (_where(finding, side), _sizes(finding, side)) if text)
-    follows = "" if observed else f"; it follows {finding['where']['driver']}"
+    follows = "" if observed else f"; it follows {finding['where']['driver']}{_band(finding)}"
     if finding.get("of_either"):
         differ = f"{recording} and {simulation} differ by {what}{seen}{follows}."
         return " ".join(filter(None, (differ, observed, OF_EITHER)))
@@ -277,6 +278,14 @@ def _nameless(finding: Mapping[str, Any], recording: str, simulation: str, obser
     if finding["relation"] in ("too_small", "too_large") and finding["simulated"]:
         beside = f"{other} shows it too, {_sizes(finding, 'simulated')}."
     return " ".join(filter(None, (shows, observed, beside)))
+
+
+def _band(finding: Mapping[str, Any]) -> str:
+    """Return from where to where in the spectrum something is, ", 12 to 19 Hz"; "" where it is in no band."""
+    if finding["where"]["driver"] != COLOURED:
+        return ""
+    low, high = finding["where"]["band_hz"]
+    return f", {low:.3g} to {high:.3g} Hz"
 
 
 def _of_both(finding: Mapping[str, Any], recording: str, simulation: str, name: str | None) -> str:

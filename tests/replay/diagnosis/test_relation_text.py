@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.records import (
     Where,
     only_unknown,
 )
+from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURED
 from stillcal.replay.diagnosis.answer import _finding
 from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import shown_of, statement, told_of_sensor, with_interval
@@ -429,3 +430,19 @@ def test_numbers_that_differ_between_axes_are_given_for_each() -> None:
     assert with_interval("size", parameter, [0, 1, 2]) == "x 1.00 ± 0.10 s, y 1.00 ± 0.10 s, z 2.00 ± 0.10 s"
     angles = {"value": [0.01] * 3, "ci95": [[0.009, 0.011]] * 3, "unit": "rad"}
     assert with_interval("misalignment", angles, [0, 1, 2]).startswith("xy 10.0 ± 1.0 mrad, xz 10.0")
+
+
+def test_the_band_of_what_both_have_is_told() -> None:
+    finding = {
+        "effect": "unknown",
+        "sensor": "gyro",
+        "axes": ["x", "y", "z"],
+        "relation": "too_small",
+        "where": {"t_start": 0.0, "t_end": 60.0, "band_hz": [15.0, 22.0], "driver": COLOURED},
+        "parameters": {"ratio": {"value": 15.1, "ci95": [14.5, 15.7], "unit": "1"}},
+        "simulated": {"ratio": {"value": 4.2, "ci95": [4.0, 4.4], "unit": "1"}},
+        "evidence": {"posterior_probability": 0.97},
+        "alternatives": [],
+        "difference": {"ratio": {"value": 10.9, "ci95": [10.3, 11.5], "unit": "1"}},
+    }
+    assert f"it follows {COLOURED}, 15 to 22 Hz." in statement(finding, ("a.csv", "b.csv"))

@@ -1,0 +1,183 @@
+"""Noise at rest that is neither white nor white noise behind a low-pass: the band that stands apart most.
+
+A sensor's own noise has one spectrum in every rest and on every axis, whatever the phone lies on. What shakes
+the phone differs from rest to rest, and from axis to axis. So a band counts only where its power is as even
+over rests, and as alike on the axes, as chance leaves it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array
+from stillcal.calib_core.diagnosis.inference.left_out import of_means
+from stillcal.calib_core.diagnosis.model.measurement import (
+    Measured,
+    direct_finding,
+    mean_of,
+    of_measured,
+    sized,
+)
+from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, SHARED, UNSTEADY, Spectra, quietest
+from stillcal.calib_core.diagnosis.noise.noise_level import OF_MEDIAN
+from stillcal.calib_core.maths.robust import MAD_TO_SD
+
+DRIVER = "frequency in the spectrum of the noise"
+
+SEEN = float(np.exp(-3.5))
+"""Part of its power that a low-pass leaves where the noise before it is still judged."""
+
+WIDTH = 1.15
+"""Upper over lower frequency of the narrowest band."""
+
+CHANCE = 0.08
+"""Natural logarithm of power that chance may move a band by: narrower ones are taken together."""
+
+FEWEST = 9
+"""Frequencies of the narrowest band: twice as many as a line has."""
+
+LINE, MOST = 5, 0.75
+"""Neighbouring frequencies that a line is spread over, and the part of a band's power that makes it one."""
+
+UNLIKE = 0.25
+"""Part of a band's logarithm by which a sensor's axes may differ in it."""
+
+FLOOR = 0.02
+"""Natural logarithm of power below which no two spectra of one sensor are known to be alike."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Coloured:
+    """A band (low, high) Hz of noise at rest, and its power over that of most of the spectrum.
+
+    log_ratio: natural logarithm; pieces: (P,) the same piece by piece.
+    """
+
+    band: tuple[float, float]
+    log_ratio: Measured
+    pieces: Array
+
+    def size(self) -> Measured:
+        """Return how far it stands apart, on the scale of the population of sound phones."""
+        return Measured(abs(self.log_ratio.value), self.log_ratio.error)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Flat:
+    """Power (P, F, 3) of the quietest pieces before any low-pass, over each axis' usual one; f: (F,) Hz.
+
+    averages: (P,) independent ones.
+    """
+
+    power: Array
+    f: Array
+    averages: Array
+
+    def bands(self) -> list[slice]:
+        """Return where bands lie: each wide enough that neither chance nor a line moves it far."""
+        by_chance = SHARED * OF_MEDIAN**2 / (self.averages.sum() * 3.0 * CHANCE**2)
+        fewest = max(int(np.ceil(by_chance)), FEWEST)
+        out, k = [], 0
+        while k + fewest <= self.f.size:
+            end = max(k + fewest, int(np.searchsorted(self.f, self.f[k] * WIDTH)))
+            out.append(slice(k, end))
+            k = end
+        return out
+
+
+def coloured_noise(spectrum: Spectra) -> Coloured | None:
+    """Return the band that stands apart most.
+
+    None where rests or axes differ in it by more than chance, and where it is a line.
+    """
+    seen = _flat(spectrum)
+    bands = [] if seen is None else seen.bands()
+    if seen is None or len(bands) < LEAST_PIECES:
+        return None
+    typical = seen.power.mean(axis=(0, 2))
+    logs = np.log([np.median(typical[band]) for band in bands])
+    logs -= np.median(logs)
+    k = int(np.argmax(np.abs(logs)))
+    beyond = logs * np.sign(logs[k]) > 0.5 * np.abs(logs[k])
+    first, last = k, k + 1
+    while first > 0 and beyond[first - 1]:
+        first -= 1
+    while last < logs.size and beyond[last]:
+        last += 1
+    rows = slice(bands[first].start, bands[last - 1].stop)
+    return None if _is_line(typical[rows], float(np.median(typical))) else _of_band(seen, rows)
+
+
+def in_band(spectrum: Spectra, band: tuple[float, float]) -> Coloured | None:
+    """Return what the noise of a spectrum has in a band, Hz.
+
+    None where that is not even, or most of it is beyond the frequencies that are judged.
+    """
+    seen = _flat(spectrum)
+    if seen is None:
+        return None
+    first = int(np.searchsorted(seen.f, band[0]))
+    last = int(np.searchsorted(seen.f, band[1], side="right"))
+    if last <= first or seen.f[last - 1] - seen.f[first] < 0.5 * (band[1] - band[0]):
+        return None
+    return _of_band(seen, slice(first, last))
+
+
+def _flat(spectrum: Spectra) -> _Flat | None:
+    """Return the noise of the quietest pieces; None where these are too few."""
+    behind = spectrum.low_pass or spectrum.wide
+    shape = np.ones(spectrum.f.size) if behind is None else behind.shape
+    used = spectrum.band & (shape > SEEN)
+    power = spectrum.power[:, used] / shape[None, used, None]
+    own = quietest(spectrum.power[:, spectrum.band], spectrum.averages) & (power > 0.0).all(axis=(1, 2))
+    if own.sum() < LEAST_PIECES or used.sum() < LEAST_PIECES * FEWEST:
+        return None
+    level = np.median(power[own].mean(axis=0), axis=0)
+    return _Flat(power[own] / level, spectrum.f[used], spectrum.averages[own])
+
+
+def _of_band(seen: _Flat, rows: slice) -> Coloured | None:
+    """Return a band's power over the usual one, by medians over frequencies, which no line moves far.
+
+    None where it is not as even over pieces, and as alike on the axes, as chance leaves it.
+    """
+    typical = seen.power.mean(axis=0)
+    by_axis = np.log(np.median(typical[rows], axis=0) / np.median(typical, axis=0))
+    of_piece = seen.power.mean(axis=2)
+    pieces = np.log(np.median(of_piece[:, rows], axis=1) / np.median(of_piece, axis=1))
+    value = float(np.log(np.median(typical[rows].mean(axis=1)) / np.median(typical.mean(axis=1))))
+    chance = OF_MEDIAN * float(np.sqrt(SHARED / (np.median(seen.averages) * (rows.stop - rows.start))))
+    scatter = MAD_TO_SD * float(np.median(np.abs(pieces - np.median(pieces))))
+    even = scatter < UNSTEADY * chance / np.sqrt(3.0) + FLOOR
+    alike = np.abs(by_axis - value).max() < 3.0 * chance / np.sqrt(len(pieces)) + UNLIKE * abs(value)
+    if not (even and alike):
+        return None
+    band = float(seen.f[rows.start]), float(seen.f[rows.stop - 1])
+    return Coloured(band, Measured(value, mean_of(pieces, FLOOR).error), pieces)
+
+
+def _is_line(power: Array, usual: float) -> bool:
+    """Whether most of what a band's power (F,) has over the usual one is in one line, twice as high."""
+    excess = power - usual
+    highest = np.convolve(excess, np.ones(LINE), "valid").max()
+    return bool(highest > LINE * usual and highest > MOST * excess.sum())
+
+
+def coloured_noise_finding(found: Coloured, sensor: str, sound: Usual, where: Where) -> Finding | None:
+    """State a band that no sound phone has; it has no name, for many a cause may have it."""
+    sign = 1.0 if found.log_ratio.value >= 0.0 else -1.0
+    seen = of_measured(found.size(), sound, of_means(sign * found.pieces, np.array([sound.middle])))
+    times = float(np.exp(found.log_ratio.value))
+    low, high = found.band
+    say = (
+        f"The {NAME[sensor]}'s noise at rest is not white: from {low:.3g} to {high:.3g} Hz it has {times:.3g}"
+        " times the power of most other frequencies, on all axes and in all rests alike."
+    )
+    ratio = Measured(times, times * found.log_ratio.error).parameter("1")
+    parameters = {"ratio": ratio, **sized({"from": (low, "Hz"), "to": (high, "Hz")})}
+    own = Where(where.t_start, where.t_end, found.band, DRIVER)
+    return direct_finding("unknown", sensor, [0, 1, 2], own, parameters, statement=say, seen=seen)

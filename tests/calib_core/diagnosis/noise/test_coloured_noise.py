@@ -1,0 +1,139 @@
+"""Noise at rest that is neither white nor behind a low-pass has no name, and its band is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import butter, lfilter
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
+from stillcal.calib_core.diagnosis.noise.coloured_noise import (
+    DRIVER,
+    Coloured,
+    coloured_noise,
+    coloured_noise_finding,
+    in_band,
+)
+from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, judged
+from stillcal.calib_core.streams.samples import Samples, Sensor
+
+WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
+PIECES, LONG, RATE = 40, 1000, 100.0
+RESONANCE = (15.0, 22.0)
+
+
+def resonating(white: Array, gain: float, band: tuple[float, float] = RESONANCE) -> Array:
+    """Return white noise (..., n, 3) with `gain` times itself, in a band, added."""
+    b, a = butter(2, band, "band", fs=RATE)
+    return np.asarray(white + gain * lfilter(b, a, white, axis=-2))
+
+
+def noise(seed: int = 4) -> Array:
+    return np.random.default_rng(seed).normal(size=(PIECES, LONG, 3))
+
+
+def seen(pieces: Array) -> Spectra:
+    found = judged(Quiet(tuple(pieces), tuple(10.0 * np.arange(len(pieces))), RATE))
+    assert found is not None
+    return found
+
+
+def told(found: Coloured | None) -> Finding | None:
+    if found is None:
+        return None
+    return coloured_noise_finding(found, "gyro", sound_phones()["noise_coloured"], WHERE)
+
+
+@pytest.mark.parametrize(("gain", "least", "most"), [(3.0, 11.0, 17.0), (1.0, 3.0, 4.2), (-0.8, 0.03, 0.3)])
+def test_a_band_that_stands_apart_in_every_rest_and_on_every_axis_is_told(
+    gain: float, least: float, most: float
+) -> None:
+    """In the middle of the band its power is (1 + gain)^2 times the rest's."""
+    found = told(coloured_noise(seen(resonating(noise(), gain))))
+    assert found is not None
+    assert (found.effect, found.axes, found.where.driver) == ("unknown", ["x", "y", "z"], DRIVER)
+    low, high = found.where.band_hz
+    assert abs(low - RESONANCE[0]) < 2.5 and abs(high - RESONANCE[1]) < 2.5
+    assert least < float(np.asarray(found.parameters["ratio"].value)) < most
+
+
+def test_a_difference_of_neighbours_has_least_at_low_frequency() -> None:
+    found = told(coloured_noise(seen(np.diff(noise(), axis=1))))
+    assert found is not None
+    assert found.where.band_hz[0] < 3.0 and float(np.asarray(found.parameters["ratio"].value)) < 0.1
+
+
+def test_white_noise_has_no_such_band_alone_and_in_any() -> None:
+    for seed in range(8):
+        assert told(coloured_noise(seen(noise(seed)))) is None
+    one = in_band(seen(noise()), (15.0, 23.0))
+    assert one is not None and abs(one.log_ratio.value) < 3.0 * one.log_ratio.error
+
+
+def test_what_differs_between_axes_or_rests_is_not_the_sensors_own() -> None:
+    """A phone is shaken by what it lies on along one axis more than another, and not always."""
+    one_axis, some_rests = noise(), noise()
+    one_axis[..., 2] = resonating(one_axis, 1.5)[..., 2]
+    some_rests[::2] = resonating(some_rests, 1.5)[::2]
+    assert coloured_noise(seen(one_axis)) is None
+    assert told(coloured_noise(seen(some_rests))) is None
+
+
+def test_a_line_is_no_band_of_noise() -> None:
+    t = np.arange(LONG) / RATE
+    line = noise() + np.sin(2.0 * np.pi * 18.1 * t)[:, None]
+    assert told(coloured_noise(seen(line))) is None
+    beside = in_band(seen(line), RESONANCE)
+    assert beside is not None and abs(beside.log_ratio.value) < 0.15
+
+
+def test_what_a_low_pass_leaves_is_judged_before_it() -> None:
+    b, a = butter(2, 15.0, fs=RATE)
+    filtered = seen(lfilter(b, a, noise(), axis=1))
+    assert filtered.low_pass is not None
+    assert told(coloured_noise(filtered)) is None
+
+
+def test_a_band_beyond_the_frequencies_that_are_judged_is_not_told() -> None:
+    assert in_band(seen(noise()), (55.0, 70.0)) is None
+
+
+def resting(seed: int, gain: float, band: tuple[float, float] = RESONANCE) -> Samples:
+    """Return an accelerometer at rest for 200 s whose noise resonates."""
+    white = np.random.default_rng(seed).normal(0.0, 0.02, (20_000, 3))
+    force = np.array([0.3, -0.5, 9.78]) + resonating(white, gain, band)
+    return Samples(Sensor.ACCELEROMETER, frozen(np.arange(20_000) / RATE), frozen(force))
+
+
+def differing(one: Examination, other: Examination) -> list[tuple[str, str]]:
+    found = compare(one, other, ("a.csv", "b.csv"))
+    return [(d.relation, d.where.driver) for d in found.discrepancies if d.effect == "unknown"]
+
+
+def test_a_band_is_compared_with_what_the_other_recording_has_in_it() -> None:
+    resonant, alike, less, white, elsewhere = (
+        examine(samples, None, sought=())
+        for samples in (
+            *(resting(k, gain) for k, gain in enumerate((3.0, 3.0, 1.0, 0.0))),
+            resting(9, 3.0, (32.0, 40.0)),
+        )
+    )
+    assert differing(resonant, white) == [("lacking", DRIVER)]
+    assert differing(white, resonant) == [("superfluous", DRIVER)]
+    assert differing(resonant, alike) == []
+    assert differing(resonant, less) == [("too_small", DRIVER)]
+    assert sorted(differing(resonant, elsewhere)) == [("lacking", DRIVER), ("superfluous", DRIVER)]
+
+
+def test_where_a_vibration_wanders_nothing_is_said_of_its_band() -> None:
+    t = np.arange(20_000) / RATE
+    pace = 18.0 + np.cumsum(np.random.default_rng(1).normal(0.0, 0.02, t.size))
+    samples = resting(1, 0.0)
+    force = np.array(samples.xyz) + 0.1 * np.sin(2.0 * np.pi * np.cumsum(pace) / RATE)[:, None]
+    found = examine(Samples(Sensor.ACCELEROMETER, samples.t, frozen(force)), None, sought=())
+    assert all(s.finding.where.driver != DRIVER for s in found.statements)
