@@ -123,11 +123,17 @@ def test_wander_is_of_the_one_whose_own_rests_wander(name: str, driver: str) -> 
 
 @pytest.mark.parametrize(
     ("own", "relation"),
-    [((False, True), "superfluous"), ((False, False), "lacking"), ((True, True), "lacking")],
+    [
+        ((False, True), "superfluous"),
+        ((False, False), "lacking"),
+        ((True, False), "lacking"),
+        ((True, True), "too_large"),
+    ],
 )
 def test_an_arm_that_the_simulation_alone_states_is_its_own(own: tuple[bool, bool], relation: str) -> None:
-    """The readings differ by the negative arm, which the recording was said to have."""
-    size = Parameter([0.03, 0.0, 0.0], None, "m")
+    """The readings differ by -30 mm, said to be the recording's; where both have one, it has less."""
+    at = [0.05 if own[0] else 0.03, 0.0, 0.0]
+    size = Parameter(at, [[x - 2e-3, x + 2e-3] for x in at], "m")
     said = Finding("lever_arm", "accel", ["x"], Where(0.0, 1.0, (0.0, 0.05), "turns"), {"position": size},
                    Evidence(50.0), [], "")  # fmt: skip
     alone = examined(turned(1), sought=())
@@ -142,3 +148,7 @@ def test_an_arm_that_the_simulation_alone_states_is_its_own(own: tuple[bool, boo
     if relation == "superfluous":
         assert one.difference.simulated.value == pytest.approx([0.03, 0.0, 0.0])
         assert not one.difference.recorded.value.any()
+    if relation == "too_large":
+        assert one.difference.simulated.value == pytest.approx([0.05, 0.0, 0.0])
+        assert one.difference.recorded.value == pytest.approx([0.02, 0.0, 0.0])
+        assert one.difference.value == pytest.approx([-0.03, 0.0, 0.0])

@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.inference.bayes_factor import log_bayes_facto
 from stillcal.calib_core.diagnosis.inference.likelihood import reduce_residuals
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.slow.statement import Stated
@@ -84,15 +85,31 @@ def with_owner_of_unknown(
             beside = [s for s in exam.statements if s is not said]
             alone = [0.0 if said is None else _shown_at_rest(said, beside, e) for e in (recorded, simulated)]
             one = _owned(one, said, np.array(alone))  # noqa: PLW2901 - it is the same difference
-        elif one.effect == Arm.name and not _states(recorded, one.effect) and _states(simulated, one.effect):
-            one = _of_simulation(one)  # noqa: PLW2901 - it is the same difference
+        elif one.effect == Arm.name and (had := _stated(simulated, one.effect)) is not None:
+            both = _stated(recorded, one.effect) is not None
+            one = _of_both(one, had) if both else _of_simulation(one)  # noqa: PLW2901 - as above
         out.append(one)
     return replace(found, discrepancies=out)
 
 
-def _states(alone: Examination, effect: str) -> bool:
-    """Whether one recording by itself states an effect."""
-    return any(s.finding.effect == effect for s in alone.statements)
+def _stated(alone: Examination, effect: str) -> Finding | None:
+    """Return what one recording by itself states of an effect."""
+    return next((s.finding for s in alone.statements if s.finding.effect == effect), None)
+
+
+def _of_both(one: Discrepancy, had: Finding) -> Discrepancy:
+    """Return a difference beside what the simulation itself states: the recording has both together."""
+    apart = one.difference
+    assert apart is not None, "an arm is measured"
+    size = had.parameters[apart.recorded.parts[0].name]
+    ends = np.asarray(size.value if size.ci95 is None else size.ci95, dtype=np.float64).reshape(3, -1)
+    own = np.diag((np.ptp(ends, axis=1) / (2.0 * NORMAL_95)) ** 2)
+    simulated = replace(apart.recorded, value=np.asarray(size.value, dtype=np.float64), covariance=own)
+    value, covariance = simulated.value + apart.value, own + apart.covariance
+    whole = replace(
+        apart, recorded=replace(apart.recorded, value=value, covariance=covariance), simulated=simulated
+    )
+    return replace(one, relation=whole.relation(), difference=whole)
 
 
 def _of_simulation(one: Discrepancy) -> Discrepancy:
