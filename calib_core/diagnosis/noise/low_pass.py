@@ -39,6 +39,10 @@ RARE = (3,)
 PASSES = (2, 3)
 """How often a first-order low-pass may follow another one like it, as where software smooths twice."""
 
+BELL_LATE = (1.1, 0.0, 2.2)
+"""Delays, times 1 / (2 pi cutoff), of a filter whose power falls as a bell curve, the middle one first: none
+of one that smooths afterwards, 2.2 of a Bessel low-pass of the fourth order, which has nearly this power."""
+
 FASTER = (1, 2, 4, 16)
 """Times the sample rate at which a sensor filters: at the last its filter is as good as analogue."""
 USED_RANGE = 3.5
@@ -46,8 +50,15 @@ LEAST_PIECES = 3
 CLEAN = 0.02
 MODEL = 0.02
 """Relative error of a cutoff for not knowing how the filter was made."""
+ABOVE_STEPS = 3.0
+LEAST_SHAPE = 8
+"""Times the noise of the steps that power has, and numbers of a spectrum that have it, to tell a shape."""
+
 FLATTENED = 1.0
 """ln of power over a filter's, at frequencies that it suppresses: what is more is no noise of that filter."""
+FADED = 1e-6
+"""Part of the power below which nothing is left of it: windows spread more into what a filter suppresses."""
+
 OF_MEDIAN = 1.35
 """Variance of the median of three numbers, times three, over that of one."""
 
@@ -248,7 +259,8 @@ def _kinds(f: Array, cutoffs: Array, rate: float) -> list[Kind]:
     repeated = [Kind(2, _repeated(ratio, n), by, False) for n, by in zip(PASSES, late, strict=True)]
     bilinear = [_bilinear(f, cutoffs, rate, times, n) for times, n in product(FASTER, ORDERS)]
     averages = [_exponential(below / rate, cutoffs / rate, rate, n) for n in (1, *PASSES)]
-    return [*analogue, *bilinear, *averages, *repeated, _moving_mean(f / rate, cutoffs / rate, rate)]
+    bell = [Kind(2, 2.0 ** -(ratio**2), by / turn, False) for by in BELL_LATE]
+    return [*analogue, *bilinear, *averages, *repeated, *bell, _moving_mean(f / rate, cutoffs / rate, rate)]
 
 
 def _repeated(ratio: Array, passes: int) -> Array:
@@ -351,6 +363,9 @@ def _low_pass(
         return None
     logs = np.log(np.maximum(power, np.finfo(np.float64).tiny))
     used = band & (logs > np.quantile(logs[band], 0.9) - USED_RANGE)
+    # Of steps as coarse as what a filter leaves the level is known, and that their noise is not white.
+    above = used & (power > ABOVE_STEPS * floor)
+    used = above if above.sum() > LEAST_SHAPE else used
     seen = logs[used]
     cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
     fits: list[_Fit] = []
@@ -411,7 +426,7 @@ def _level_beyond(logs: Array, shape: Array, band: NDArray[np.bool_], used: NDAr
 
     used: where the filter was fitted.
     """
-    ratio = logs - np.log(shape)
+    ratio = logs - np.log(np.maximum(shape, FADED))
     beyond = np.flatnonzero(band)[np.flatnonzero(band) > np.flatnonzero(used)[-1]]
     highest = ratio[beyond[beyond.size // 2 :]]
     return bool(highest.size and np.median(highest) > np.median(ratio[used]) + FLATTENED)

@@ -7,6 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
@@ -85,6 +86,33 @@ def test_smoothing_by_software_is_told_by_its_own_cutoff_and_delay(
     assert found is not None and found.low_pass is not None
     assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.03)
     assert found.low_pass.late.value * RATE == pytest.approx(samples_late, rel=0.06)
+
+
+@pytest.mark.parametrize("width", [1.5, 3.0])
+@pytest.mark.parametrize("rounded", [False, True])
+def test_a_filter_like_a_bell_curve_is_told_by_its_own_cutoff(width: float, rounded: bool) -> None:
+    """Of 4.42 Hz 6.02 were told, +- 0.23. What is left of its power may be the steps' or nothing at all."""
+    noise = np.random.default_rng(0).normal(size=(40, 1300, 3))
+    filtered = gaussian_filter1d(noise, width, axis=1)[:, 150:-150]
+    if rounded:
+        filtered = 0.25 * np.round(4.0 * filtered)
+    found = judged(quiet(filtered), 0.25**2 / 6.0 / RATE if rounded else 0.0)
+    assert found is not None and found.low_pass is not None
+    cutoff = np.sqrt(np.log(2.0)) / (2.0 * np.pi * width) * RATE
+    assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.03)
+    late = found.low_pass.late
+    assert abs(late.value) <= late.error
+
+
+@pytest.mark.parametrize("step", [0.25, 0.5, 0.8])
+def test_a_low_pass_is_seen_above_the_noise_of_the_steps(step: float) -> None:
+    """What is left of white noise of 1 at 5 Hz is 0.32: steps of 0.5 and more hid the filter."""
+    noise = np.random.default_rng(1).normal(size=(40, 1300, 3))
+    filtered = lfilter(*butter(2, 5.0, fs=RATE), noise, axis=1)[:, 300:]
+    found = judged(quiet(step * np.round(filtered / step)), step**2 / 6.0 / RATE)
+    assert found is not None and found.low_pass is not None
+    told = found.low_pass.cutoff
+    assert told.value == pytest.approx(5.0, abs=2.0 * told.error) and told.error < 0.6
 
 
 @pytest.mark.parametrize("behind", ["white", "hum"])
