@@ -210,9 +210,14 @@ def smallest_direct(exam: Examination) -> list[Smallest]:
             timing = one.effect in TIMING
             if not timing or stream.sensor == "accel":
                 sensor = "timing" if timing else stream.sensor
-                found = Smallest(one.effect, sensor, one.parameter, one.value, one.unit, reason=one.reason)
-                out.append(found)
+                out.append(_smallest(one, sensor))
+    if exam.delay is not None:
+        out.extend(_smallest(one, "timing") for one in smallest.of_delay(exam.delay, sound))
     return out
+
+
+def _smallest(one: smallest.SmallestSize, sensor: str) -> Smallest:
+    return Smallest(one.effect, sensor, one.parameter, one.value, one.unit, reason=one.reason)
 
 
 TIMING = ("clock_skew", "timestamp_jitter", "dropped_samples", "arrival_bursts")

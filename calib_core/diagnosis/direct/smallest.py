@@ -133,6 +133,12 @@ def _together(name: str, samples: Samples) -> float:
     return float(clock.LEAST_GROUP) if name == "arrival_bursts" else 1.0
 
 
+def of_delay(delay: Measured, sound: SoundPhones) -> list[SmallestSize]:
+    """Return the smallest delay of the gyroscope that motion shows as well as it showed this one."""
+    size = smallest_number(sound["time_offset"], _constant(delay.error))
+    return [] if size is None else [SmallestSize("accel_gyro_time_offset", "delay", size, "s")]
+
+
 def of_noise(
     measured: Mapping[str, Measured], sound: SoundPhones, sensor: str, rate: float, claim: float | None
 ) -> list[SmallestSize]:

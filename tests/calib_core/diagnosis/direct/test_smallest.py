@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
+from stillcal.calib_core.diagnosis.comparison.direct import smallest_direct
 from stillcal.calib_core.diagnosis.direct.smallest import of_stamps_and_values, smallest_number
-from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN, Measured, of_measured
 from stillcal.calib_core.diagnosis.model.records import Claims
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.stamps.clock import timing_findings
@@ -69,3 +73,18 @@ def test_a_loss_that_hardly_any_fault_is_as_large_as_says_why_it_is_not_shown() 
 
 def test_what_no_size_shows_has_none() -> None:
     assert smallest_number(SOUND["excess_kurtosis"], lambda number, side: Measured(number, 50.0)) is None
+
+
+@pytest.mark.parametrize("error", [0.001, 0.004])
+def test_the_smallest_delay_that_motion_shows_is_told(error: float) -> None:
+    """The built-in simulation's answer had none, though it looked for a delay."""
+    exam = SimpleNamespace(is_table=False, claims=Claims(), streams=[], delay=Measured(0.0, error))
+    (told,) = smallest_direct(cast(Examination, exam))
+    assert (told.effect, told.sensor, told.unit) == ("accel_gyro_time_offset", "timing", "s")
+    unlucky = (
+        of_measured(Measured(x - NINE_IN_TEN * error, error), SOUND["time_offset"])
+        for x in (told.value, 0.9 * told.value)
+    )
+    assert [seen.stated for seen in unlucky] == [True, False]
+    exam.delay = None
+    assert smallest_direct(cast(Examination, exam)) == []
