@@ -55,7 +55,9 @@ def test_what_the_accelerometer_alone_shows_is_found() -> None:
     assert low < angle < high
 
 
-@pytest.mark.parametrize(("along", "pushes", "told"), [(0.0, 2, False), (0.0, 1, True), (0.3, 2, True)])
+@pytest.mark.parametrize(
+    ("along", "pushes", "told"), [(0.0, 2, False), (0.0, 1, True), (0.3, 2, True), (-0.3, 2, True)]
+)
 def test_what_a_train_pushes_as_it_starts_and_stops_is_no_fault_of_a_sensor(
     along: float, pushes: int, told: bool
 ) -> None:
@@ -65,6 +67,16 @@ def test_what_a_train_pushes_as_it_starts_and_stops_is_no_fault_of_a_sensor(
     pushed = ((t >= 60.0) & (t < (140.0 if pushes == 2 else 300.0)))[:, None] * [0.6, 0.0, along]
     found = tilts(Samples.checked(Sensor.ACCELEROMETER, t, force.xyz + pushed), rate)
     assert (found is not None) == told
+
+
+def test_a_jump_that_no_push_makes_is_told_beside_pushes() -> None:
+    """Two of 0.6 m/s^2 across gravity, and a bias that jumps by as much along it besides."""
+    force, rate = lying(1, 0.0, 0.0)
+    pushed = ((force.t >= 60.0) & (force.t < 100.0))[:, None] * [0.6, 0.0, 0.0]
+    pushed = pushed + (force.t >= 150.0)[:, None] * [0.0, 0.5, 0.5]
+    found = tilts(Samples.checked(Sensor.ACCELEROMETER, force.t, force.xyz + pushed), rate)
+    assert found is not None and (found.axes, "jumps" in found.parameters) == (["y"], False)
+    assert found.where.t_start == pytest.approx(150.0, abs=1.0)
 
 
 @pytest.mark.parametrize(

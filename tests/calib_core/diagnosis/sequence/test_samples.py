@@ -14,6 +14,7 @@ from stillcal.calib_core.diagnosis.diagnose import diagnose, examine
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
+from stillcal.calib_core.diagnosis.sequence.codes import lattice
 from stillcal.calib_core.diagnosis.sequence.findings import beside_names, sequence_findings
 from stillcal.calib_core.diagnosis.sequence.neighbours import without_outliers
 from stillcal.calib_core.diagnosis.sequence.places import Noise, batch, by_count
@@ -144,6 +145,16 @@ def test_a_machine_that_shakes_some_rests_has_no_code(part: float, size: tuple[f
     shaken = (t % 60.0) < 20.0
     codes[shaken] += np.rint(np.outer(np.sin(2.0 * np.pi * part * RATE * t[shaken]), size))
     assert "own code" not in {f.where.driver for f in said(codes)}
+
+
+@pytest.mark.parametrize(("bit", "size"), [(9, 62.0), (10, 62.0), (8, 0.0)])
+def test_single_values_off_by_a_bit_are_found_in_noise_beside_a_machine(bit: int, size: float) -> None:
+    """One value in 500, up or down; the machine shakes a third of the time, as above."""
+    rng, t = np.random.default_rng(6), np.arange(20_000) / RATE
+    shaken = size * np.sin(2.0 * np.pi * 0.458 * RATE * t) * ((t % 60.0) < 20.0)
+    off = 2.0**bit * rng.choice([-1.0, 1.0], t.size) * (rng.random(t.size) < 0.002)
+    found = lattice(np.rint(rng.normal(0.0, 3.0, t.size) + shaken + off).astype(np.int64))
+    assert found is not None and found.bit == bit and found.nats > 5.0
 
 
 def test_a_simulated_motion_that_repeats_itself_without_noise_is_not_delivered_again() -> None:
