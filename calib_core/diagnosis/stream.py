@@ -246,7 +246,8 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
         moving = gathered_noise_finding(gathered_noise(gathered), sensor, sound["noise_gathered"], where)
     found: list[Finding | None] = [other, wide, moving]
     if noise.suppressed(stream.levels, claim):
-        found.append(bandwidth(stream.spectra, sensor, usual(sound, "bandwidth", claim), where))
+        common = usual(sound, spectrum.population(stream.spectra), claim)
+        found.append(bandwidth(stream.spectra, sensor, common, where))
     if wide is None and other is None and moving is None and fine:
         own = stream.levels
         alike = shared_noise(stream.still, stream.spectra) if own.own else None
@@ -257,7 +258,7 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
         found += noise.noise_findings(sensor, own, claim, sound, where)
         if (colour := stream.coloured()) is not None:
             found.append(coloured_noise_finding(colour, sensor, sound["noise_coloured"], where))
-    if not any(f is not None and f.effect in halves.QUANTITIES for f in found):
+    if not any(f is not None and halves.quantities_of(f) for f in found):
         return found
     parts = [half.measured() for half in stream.halves()]
     return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]

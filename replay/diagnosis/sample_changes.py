@@ -84,7 +84,8 @@ def low_passed(samples: Samples, found: Quantity, own: Quantity | None = None) -
     """Return samples behind a low-pass as it was measured, a Butterworth filter.
 
     own: the low-pass that they are behind already, which it takes the place of. Both filters have zeros where
-    nothing passes, as many as their orders; those of the one stand for those of the other.
+    nothing passes, as many as their orders; those of the one stand for those of the other. Where it filters
+    some axes only, the others stay as they are.
     """
     from scipy.signal import butter, lfilter, lfilter_zi  # noqa: PLC0415 - scipy is loaded when it is needed
 
@@ -97,7 +98,9 @@ def low_passed(samples: Samples, found: Quantity, own: Quantity | None = None) -
     made = np.convolve(np.poly(-np.ones(zeros)), instead)
     made *= poles.sum() / made.sum()
     state = np.outer(lfilter_zi(made, poles), samples.xyz[0])
-    return replace(samples, xyz=frozen(lfilter(made, poles, samples.xyz, axis=0, zi=state)[0]))
+    filtered = lfilter(made, poles, samples.xyz, axis=0, zi=state)[0]
+    behind = [not found.axes or a in found.axes for a in range(len(AXES))]
+    return replace(samples, xyz=frozen(np.where(behind, filtered, samples.xyz)))
 
 
 def _order(low_pass: Quantity) -> int:

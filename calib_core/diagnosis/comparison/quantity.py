@@ -88,6 +88,7 @@ class Quantity:
     none: bool = False
     error: float = 0.0
     counted: int = 0
+    axes: tuple[int, ...] = ()
 
     @property
     def sigma(self) -> Array:

@@ -145,7 +145,7 @@ def axes_of(difference: Difference) -> list[str]:
     strength = np.abs(difference.value) / np.maximum(error, 1e-300)
     owner = difference.recorded.axis_of
     if (owner < 0).all():
-        return []
+        return [AXES[a] for a in difference.recorded.axes]
     by_axis = [float(strength[owner == a].max(initial=0.0)) for a in range(3)]
     least = min(thresholds.AXIS_SIGMA, max(by_axis))
     return [AXES[a] for a in range(3) if by_axis[a] >= least]

@@ -76,7 +76,7 @@ def of_noise(
         out["step_over_noise"] = quantisation.relative_step(steps)
     if spectra is None or levels is None or steps.blurs_level():
         return out
-    out["bandwidth"] = low_pass.relative_cutoff(spectra)
+    out[low_pass.population(spectra)] = low_pass.relative_cutoff(spectra)
     tails = heavy_tails.excess_kurtosis(still) if steps.dithered() else None
     if tails is not None:
         out["excess_kurtosis"] = tails

@@ -129,10 +129,9 @@ def in_band(spectrum: Spectra, band: tuple[float, float]) -> Coloured | None:
 
 def _flat(spectrum: Spectra) -> _Flat | None:
     """Return the noise of the quietest pieces; None where these are too few."""
-    behind = spectrum.low_pass or spectrum.wide
-    shape = np.ones(spectrum.f.size) if behind is None else behind.shape
-    used = spectrum.band & (shape > SEEN)
-    power = spectrum.power[:, used] / shape[None, used, None]
+    shape = spectrum.shape(spectrum.low_pass or spectrum.wide)
+    used = spectrum.band & (shape > SEEN).all(axis=1)
+    power = spectrum.power[:, used] / shape[None, used]
     own = quietest(spectrum.power[:, spectrum.band], spectrum.averages) & (power > 0.0).all(axis=(1, 2))
     if own.sum() < LEAST_PIECES or used.sum() < LEAST_PIECES * FEWEST:
         return None

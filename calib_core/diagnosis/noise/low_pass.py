@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,9 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     direct_finding,
     of_measured,
 )
-from stillcal.calib_core.diagnosis.model.records import NAME, Alternative, Finding, Where
+from stillcal.calib_core.diagnosis.model.records import AXES, NAME, Alternative, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
+from stillcal.calib_core.diagnosis.noise.filter_kinds import kinds_of
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.maths.rms import rms
@@ -32,19 +32,6 @@ SEGMENT = 256
 SHORTEST = 64
 LOWEST = 0.02
 CUTOFFS = 240
-ORDERS = (1, 2, 3, 4)
-RARE = (3,)
-"""Orders that are told only where no other one fits as well: noise hardly parts them from others."""
-
-PASSES = (2, 3)
-"""How often a first-order low-pass may follow another one like it, as where software smooths twice."""
-
-BELL_LATE = (1.1, 0.0, 2.2)
-"""Delays, times 1 / (2 pi cutoff), of a filter whose power falls as a bell curve, the middle one first: none
-of one that smooths afterwards, 2.2 of a Bessel low-pass of the fourth order, which has nearly this power."""
-
-FASTER = (1, 2, 4, 16)
-"""Times the sample rate at which a sensor filters: at the last its filter is as good as analogue."""
 USED_RANGE = 3.5
 LEAST_PIECES = 3
 CLEAN = 0.02
@@ -59,6 +46,8 @@ FLATTENED = 1.0
 FADED = 1e-6
 """Part of the power below which nothing is left of it: windows spread more into what a filter suppresses."""
 
+AS_LOUD = float(np.log(4.0))
+"""ln of power, before any filter, by which two axes of a sound phone differ at most: twice the density."""
 OF_MEDIAN = 1.35
 """Variance of the median of three numbers, times three, over that of one."""
 
@@ -121,7 +110,7 @@ class LowPass:
     """A low-pass: cutoff Hz, its shape (F,) of power at the spectra's frequencies, how far flat is worse.
 
     rounded: part of the power at low frequency that is the steps' own. late: s, how much it delays slow
-    motion, by all kinds of filters of this order that fit as well.
+    motion, by all kinds of filters of this order that fit as well. axes: those that it filters.
     """
 
     cutoff: Measured
@@ -130,6 +119,12 @@ class LowPass:
     order: int
     rounded: float
     late: Measured
+    axes: tuple[int, ...] = (0, 1, 2)
+
+    @property
+    def on_all(self) -> bool:
+        """Whether it filters all axes."""
+        return len(self.axes) == len(AXES)
 
     @property
     def order_known(self) -> bool:
@@ -154,9 +149,15 @@ class Spectra:
     low_pass: LowPass | None
     wide: LowPass | None = None
 
-    def shape(self) -> Array:
-        """Return the power (F,) that white noise would have, 1 at low frequency."""
-        return np.ones(self.f.size) if self.low_pass is None else self.low_pass.shape
+    def shape(self, found: LowPass | None = None) -> Array:
+        """Return the power (F, 3) that white noise would have, 1 at low frequency.
+
+        found: the low-pass that shapes it, in place of its own.
+        """
+        out, behind = np.ones((self.f.size, len(AXES))), found or self.low_pass
+        if behind is not None:
+            out[:, behind.axes] = behind.shape[:, None]
+        return out
 
 
 def _segment(still: Quiet) -> int:
@@ -196,8 +197,9 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
     averages = 0.95 * np.maximum(2 * sizes // length - 1, 1)
 
     def fitted(pieces: NDArray[np.bool_]) -> LowPass | None:
-        typical = np.median(power[pieces], axis=0)
-        return _low_pass(f, typical, band, (still.rate, floor), float(averages[pieces].sum()))
+        typical, noise = np.median(power[pieces], axis=0), (still.rate, floor)
+        of_all = float(averages[pieces].sum())
+        return _of_some_axes(f, typical, band, noise, of_all) or _low_pass(f, typical, band, noise, of_all)
 
     own = quietest(power[:, band], averages)
     low_pass = fitted(own)
@@ -232,96 +234,16 @@ def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:
     return own if own.mean() < 1.0 - QUIETEST else np.ones_like(own)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Kind:
-    """Low-passes of one kind, each halving the power at its cutoff (C,).
-
-    shapes: (C, F) of power, 1 at low frequency; late: (C,) s, how much it delays slow motion; order: of the
-    Butterworth low-pass that is most like it; common: whether it goes before others that fit as well.
-    """
-
-    order: int
-    shapes: Array
-    late: Array
-    common: bool = True
-
-
-def _kinds(f: Array, cutoffs: Array, rate: float) -> list[Kind]:
-    """Return filters of cutoffs (C,) Hz: analogue, bilinear, exponential averages and moving means."""
-    below = np.minimum(f, 0.4999 * rate)
-    ratio = f[None, :] / cutoffs[:, None]
-    turn = 2.0 * np.pi * cutoffs
-    analogue = [
-        Kind(n, 1.0 / (1.0 + ratio ** (2 * n)), 1.0 / (turn * np.sin(np.pi / (2 * n))), n not in RARE)
-        for n in ORDERS
-    ]
-    late = [n * np.sqrt(2.0 ** (1.0 / n) - 1.0) / turn for n in PASSES]
-    repeated = [Kind(2, _repeated(ratio, n), by, False) for n, by in zip(PASSES, late, strict=True)]
-    bilinear = [_bilinear(f, cutoffs, rate, times, n) for times, n in product(FASTER, ORDERS)]
-    averages = [_exponential(below / rate, cutoffs / rate, rate, n) for n in (1, *PASSES)]
-    bell = [Kind(2, 2.0 ** -(ratio**2), by / turn, False) for by in BELL_LATE]
-    return [*analogue, *bilinear, *averages, *repeated, *bell, _moving_mean(f / rate, cutoffs / rate, rate)]
-
-
-def _repeated(ratio: Array, passes: int) -> Array:
-    """Return the power behind so many first-order low-passes, half of it at a ratio of 1."""
-    return np.asarray((1.0 + (2.0 ** (1.0 / passes) - 1.0) * ratio**2) ** -float(passes))
-
-
-def _exponential(f: Array, cutoffs: Array, rate: float, passes: int) -> Kind:
-    """Return exponential averages, y[n] = (1 - a) x[n] + a y[n - 1]. f, cutoffs: parts of the rate.
-
-    They are of the first order and go as the sine; each delays by a / (1 - a) samples.
-    """
-    at_cutoff = np.sin(np.pi * cutoffs)
-    edge = at_cutoff / np.sqrt(2.0 ** (1.0 / passes) - 1.0)
-    root = np.sqrt(1.0 + edge**2) - edge
-    shapes = _repeated(np.sin(np.pi * f)[None, :] / at_cutoff[:, None], passes)
-    return Kind(min(passes, 2), shapes, passes * root / (2.0 * edge * rate), passes == 1)
-
-
-def _moving_mean(f: Array, cutoffs: Array, rate: float) -> Kind:
-    """Return means of the last n samples. f, cutoffs: parts of the rate.
-
-    A Hann window spreads what is beside a zero of the filter into it.
-    """
-    few, many = np.ones_like(cutoffs), 1.0 / cutoffs
-    for _ in range(40):
-        middle = 0.5 * (few + many)
-        more = _mean_power(cutoffs, middle) > 0.5
-        few, many = np.where(more, middle, few), np.where(more, many, middle)
-    sides = [_mean_power(np.abs(f + k * f[1])[None, :], few[:, None]) for k in (-1, 0, 1)]
-    shapes = sides[1] * 2.0 / 3.0 + (sides[0] + sides[2]) / 6.0
-    return Kind(2, shapes, (few - 1.0) / (2.0 * rate), False)
-
-
-def _mean_power(f: Array, many: Array) -> Array:
-    """Return the power that the mean of so many samples leaves at f, parts of the rate."""
-    phase = np.pi * np.maximum(f, 1e-9)
-    return np.asarray((np.sin(many * phase) / (many * np.sin(phase))) ** 2)
-
-
-def _bilinear(f: Array, cutoffs: Array, rate: float, times: int, order: int) -> Kind:
-    """Return bilinear filters at `times` the rate.
-
-    Of such samples every so-many-th is read: what the filter leaves beyond half the rate folds back.
-    """
-    k = np.arange(times)
-    images = np.where(k % 2 == 0, 1.0, -1.0)[:, None] * f + (k[:, None] + 1) // 2 * rate
-    warped = np.tan(np.pi * np.minimum(images, 0.4999 * times * rate) / (times * rate))
-    edge = np.tan(np.pi * cutoffs / (times * rate))
-    power = (1.0 / (1.0 + (warped / edge[:, None, None]) ** (2 * order))).sum(axis=1)
-    late = 1.0 / (2.0 * times * rate * edge * np.sin(np.pi / (2 * order)))
-    return Kind(order, np.asarray(power / power[:, :1]), late, order not in RARE)
-
-
 def _of_most_axes(typical: Array, band: NDArray[np.bool_], averages: float) -> tuple[Array, float]:
     """Return the power (F,) of all axes (F, 3) together, and its variance over that of a mean of three.
 
     Where they differ by more than chance, it is that of the two most alike, as parts of their medians in the
     band: what shakes, or is noise behind the filter, on one axis alone is none of its shape. Where these
-    differ too, it is the median of all; beside an axis that has more it is the larger of the others.
+    differ too, it is the median of all; beside an axis that has more it is the larger of the others. Fewer
+    than three (F, k) are taken together.
     """
+    if typical.shape[1] < len(AXES):
+        return np.asarray(typical.mean(axis=1)), len(AXES) / typical.shape[1]
     level = np.maximum(np.median(typical[band], axis=0), np.finfo(np.float64).tiny)
     parts = typical / level
     logs = np.log(np.maximum(parts[band], np.finfo(np.float64).tiny))
@@ -332,6 +254,28 @@ def _of_most_axes(typical: Array, band: NDArray[np.bool_], averages: float) -> t
     if _apart(logs[:, alike]) < by_chance:
         return np.asarray(level.mean() * parts[:, alike].mean(axis=1)), 3.0 / 2.0
     return np.asarray(level.mean() * np.median(parts, axis=1)), OF_MEDIAN
+
+
+def _of_some_axes(
+    f: Array, typical: Array, band: NDArray[np.bool_], noise: tuple[float, float], averages: float
+) -> LowPass | None:
+    """Return the low-pass of one axis or two beside noise as white as chance leaves it on the rest.
+
+    None where the axes are alike, or one is neither. White noise as loud as the others' before the filter is
+    what passes none; louder noise may be added behind one. typical: (F, 3); the others as for `_low_pass`.
+    """
+    logs = np.log(np.maximum(typical, np.finfo(np.float64).tiny))
+    by_chance = _by_chance(averages)
+    if _apart(logs[band] - np.median(logs[band], axis=0)) < by_chance:
+        return None
+    white = [a for a in range(len(AXES)) if logs[band, a].var() < by_chance]
+    axes = [a for a in range(len(AXES)) if a not in white]
+    found = None if not white or not axes else _low_pass(f, typical[:, axes], band, noise, averages)
+    if found is None:
+        return None
+    level = np.median(logs[band][:, white])
+    before = np.median(logs[band][:, axes] - np.log(found.shape[band])[:, None], axis=0)
+    return replace(found, axes=tuple(axes)) if (np.abs(before - level) < AS_LOUD).all() else None
 
 
 def _by_chance(averages: float) -> float:
@@ -350,7 +294,7 @@ def _apart(logs: Array) -> float:
 def _low_pass(
     f: Array, typical: Array, band: NDArray[np.bool_], noise: tuple[float, float], averages: float
 ) -> LowPass | None:
-    """Fit A / (1 + (f / fc)^2n) + floor to the typical log spectrum (F, 3); None where flat does as well.
+    """Fit A / (1 + (f / fc)^2n) + floor to the typical log spectrum (F, k); None where flat does as well.
 
     noise: rate Hz, floor of the steps. Only what is above -15 dB counts. A spectrum that no filter fits
     cleanly is of something else, and so is one that falls all over the band: a bias that walks has such.
@@ -369,7 +313,7 @@ def _low_pass(
     seen = logs[used]
     cutoffs = np.geomspace(0.02 * rate, 0.49 * rate, CUTOFFS)
     fits: list[_Fit] = []
-    for kind in _kinds(f, cutoffs, rate):
+    for kind in kinds_of(f, cutoffs, rate):
         bent = kind.shapes[:, used]
         level = np.median(np.maximum(power[used] - floor, 0.2 * power[used]) / bent, axis=1)
         misfit = (seen - np.log((level[:, None] * bent + floor) / (level[:, None] + floor))).var(axis=1)
@@ -451,6 +395,12 @@ def relative_cutoff(spectrum: Spectra) -> Measured:
     )
 
 
+def population(spectrum: Spectra) -> str:
+    """Return the name of the population of sound phones that a low-pass is held against."""
+    found = spectrum.low_pass
+    return "bandwidth" if found is None or found.on_all else "bandwidth_of_some_axes"
+
+
 def bandwidth(spectrum: Spectra, sensor: str, usual: Usual, where: Where) -> Finding | None:
     """State a low-pass, with the spectra of rests left out. usual: of the log of cutoff over rate."""
     found = spectrum.low_pass
@@ -470,10 +420,18 @@ def low_pass_finding(
     """State the low-pass of a spectrum that has one; None where the evidence does not carry it."""
     found = spectrum.low_pass
     assert found is not None, "a spectrum that is not flat"
-    say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz."
+    on = "" if found.on_all else f" on {' and '.join(AXES[a] for a in found.axes)} alone"
+    say = f"The {NAME[sensor]}'s output is low-pass filtered at {found.cutoff.value:.2g} Hz{on}."
     parameters = {"cutoff": found.cutoff.parameter("Hz")}
     return direct_finding(
-        "bandwidth", sensor, [0, 1, 2], where, parameters, statement=say, seen=seen, alternatives=alternatives
+        "bandwidth",
+        sensor,
+        found.axes,
+        where,
+        parameters,
+        statement=say,
+        seen=seen,
+        alternatives=alternatives,
     )
 
 
@@ -488,7 +446,7 @@ def _left_out(spectrum: Spectra, found: LowPass) -> HeldOut:
     if alive.sum() < LEAST_PIECES:
         return HeldOut(0.0, 0.0, 0.0)
     power, averages = power[alive], spectrum.averages[alive]
-    shape = found.shape[spectrum.band][None, :, None]
+    shape = spectrum.shape(found)[None, spectrum.band]
     fold, gain = blocks(len(power)), 0.0
     before, after = [], []
     for k in np.unique(fold):

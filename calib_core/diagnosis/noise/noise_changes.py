@@ -225,7 +225,7 @@ def _chance(spectrum: Spectra, rows: NDArray[np.bool_]) -> float:
 
     A density averaged over powers p has as many independent ones as (sum p)^2 / sum p^2.
     """
-    flat = np.median(spectrum.power[rows], axis=0) / spectrum.shape()[:, None]
+    flat = np.median(spectrum.power[rows], axis=0) / spectrum.shape()
     power = flat[spectrum.band]
     count = float((power.sum(axis=0) ** 2 / np.maximum((power**2).sum(axis=0), 1e-300)).sum())
     return 0.5 * float(np.sqrt(SHARED / (np.median(spectrum.averages[rows]) * max(count, 1.0))))

@@ -83,8 +83,8 @@ def level_part(spectrum: Spectra) -> tuple[Array, NDArray[np.bool_], bool]:
     it only of several frequencies together.
     """
     shape = spectrum.shape()
-    flat = spectrum.power / shape[None, :, None]
-    band = spectrum.band & (shape > USABLE)
+    flat = spectrum.power / shape[None]
+    band = spectrum.band & (shape > USABLE).all(axis=1)
     typical = np.median(flat, axis=0)
     for seen in (typical, _smooth(typical, band, float(spectrum.averages.sum()))):
         level = np.median(seen[band], axis=0)

@@ -144,7 +144,7 @@ def case_of(recording: Recording, exam: Examination, against_ideal: Comparison) 
         for _ in range(ROUNDS):
             affine = _about_effects(bare, bins, affine, effects, conditions, gravity=gravity)
     spectra = {s.sensor: s.spectra for s in exam.streams if s.spectra is not None}
-    seen = {s: one.low_pass for s, one in spectra.items() if one.low_pass}
+    seen = {s: low for s, one in spectra.items() if (low := one.low_pass) and low.on_all}
     cutoffs = {s: float(f"{one.cutoff.value:.4g}") for s, one in seen.items()}
     orders = {s: one.order for s, one in seen.items()}
     held = held_as_compared(exam)

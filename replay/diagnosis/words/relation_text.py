@@ -127,7 +127,7 @@ def statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str 
         + _two_sided(finding, names[1])
     )
     text += _together(finding) + _undistinguished(finding) + _departing(finding)
-    text += _exchanged(finding) + _when(finding)
+    text += _exchanged(finding) + _when(finding) + _on_some_axes(finding)
     return text + OF_CORRECTION if finding["effect"] in SCALES else text
 
 
@@ -212,6 +212,13 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
     if told := finding.get("put_right"):
         return f"{shown}. {told}"
     return f"{shown}; they do not tell it from an exchange of the other sensor's axes."
+
+
+def _on_some_axes(finding: Mapping[str, Any]) -> str:
+    """Return which axes a low-pass filters, if not all of them."""
+    if finding["effect"] != LOW_PASS or len(finding["axes"]) not in (1, 2):
+        return ""
+    return f" It filters {' and '.join(finding['axes'])} alone."
 
 
 def _when(finding: Mapping[str, Any]) -> str:

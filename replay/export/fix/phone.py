@@ -18,6 +18,7 @@ from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_N
 from stillcal.calib_core.diagnosis.comparison.direct import ALIKE, LINE
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
+from stillcal.calib_core.diagnosis.model.records import AXES
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
@@ -44,6 +45,7 @@ from stillcal.replay.export.fix.findings import (
 from stillcal.replay.export.fix.toml_text import edited
 from stillcal.replay.export.imu import LAG_S, noise_of
 from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.on_settings import FILTERS_ALL
 from stillcal.replay.phone.effects.registry import EFFECTS
 from stillcal.replay.phone.phone import Phone, dump_phone
 from stillcal.replay.phone.settings import Noise, SensorSettings, per_axis
@@ -155,6 +157,8 @@ class _Phone:
     def setting(self, finding: Finding) -> None:
         """Change what the phone has as a setting of its own; without one, it is an effect like others."""
         table, field, parameter = SETTINGS[finding["effect"]]
+        if field == "cutoff_hz" and 0 < len(finding["axes"]) < len(AXES):
+            raise CannotHold(FILTERS_ALL)
         owner = table or finding["sensor"]
         settings = getattr(self.phone, owner)
         before = None if settings is None else getattr(settings, field)

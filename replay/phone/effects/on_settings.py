@@ -64,6 +64,9 @@ class GyroQuantisation(_Quantisation, OnGyro, frozen=True, kw_only=True, tag="gy
     """Quantisation of the gyroscope, rad/s."""
 
 
+FILTERS_ALL = "a simulated phone filters all axes of a sensor, or none"
+
+
 class Bandwidth(OnEither, frozen=True, kw_only=True, tag="bandwidth"):
     """A low-pass with -3 dB at `cutoff` Hz."""
 

@@ -166,9 +166,12 @@ def _odd_axis(quantity: Quantity) -> str | None:
 def _low_passes(streams: Sequence[Stream]) -> list[Quantity | None]:
     """Return the low-pass of one sensor in two recordings, where one of them has any.
 
-    Where the other does not show whether it has one, only the first has the quantity.
+    Where the other does not show whether it has one, only the first has the quantity. Where they filter
+    other axes, it is that of the axes that only one of them filters.
     """
-    both = [_low_pass(stream) for stream in streams]
+    filtered = [_filtered(stream) for stream in streams]
+    alone = _of_one(*filtered)
+    both = [_low_pass(stream, alone) for stream in streams]
     out: list[Quantity | None] = []
     for own, other, stream in zip(both, reversed(both), streams, strict=True):
         elsewhere = other is not None and not other.none
@@ -177,15 +180,29 @@ def _low_passes(streams: Sequence[Stream]) -> list[Quantity | None]:
     return out
 
 
-def _low_pass(stream: Stream) -> Quantity | None:
-    """Return the logarithm of the cutoff, Hz; half the rate where there is none; None if noise hides it.
+def _filtered(stream: Stream) -> tuple[int, ...]:
+    """Return the axes of a sensor that a low-pass filters."""
+    found = None if stream.spectra is None else stream.spectra.low_pass
+    return () if found is None else found.axes
+
+
+def _of_one(one: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the axes that only one of two recordings filters, the first's before the second's."""
+    alone = [tuple(a for a in own if a not in others) for own, others in ((one, other), (other, one))]
+    return alone[0] or alone[1] or one
+
+
+def _low_pass(stream: Stream, axes: tuple[int, ...]) -> Quantity | None:
+    """Return the logarithm of the cutoff on some axes, Hz; half the rate for none; None if noise hides it.
 
     A sensor without any noise has none: what has to be put into it has to pass the other's.
     """
     spectra, white = stream.spectra, stream.silent or (stream.levels is not None and stream.levels.white)
     if spectra is None or (spectra.low_pass is None and not white):
         return None
-    cutoff = relative_cutoff(spectra)
+    found = spectra.low_pass
+    own = found if found is not None and set(axes) <= set(found.axes) else None
+    cutoff = relative_cutoff(replace(spectra, low_pass=own))
     return Quantity(
         LOW_PASS,
         stream.sensor,
@@ -196,9 +213,10 @@ def _low_pass(stream: Stream) -> Quantity | None:
         np.array([ALIKE_CUTOFF]),
         np.array([-1]),
         logarithmic=True,
-        reference={} if spectra.low_pass is None else {"order": spectra.low_pass.order},
+        reference={} if own is None else {"order": own.order},
         where=Where(*stream.span, (0.0, spectra.rate / 2.0), AT_REST),
-        none=spectra.low_pass is None,
+        none=own is None,
+        axes=axes if 0 < len(axes) < len(AXES) else (),
     )
 
 
@@ -241,7 +259,7 @@ def _of_higher_rate(own: Quantity | None, other: Quantity | None) -> bool:
 
 def why_not_measured(effect: str, stream: Stream) -> str:
     """Say why a stream shows no quantity of its noise."""
-    if effect == LOW_PASS and _low_pass(stream) is not None and not stream.repeats_many:
+    if effect == LOW_PASS and _low_pass(stream, ()) is not None and not stream.repeats_many:
         return "its rate is too low to show it"
     return why_no_density(stream)
 
