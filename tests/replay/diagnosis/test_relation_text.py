@@ -280,6 +280,20 @@ def test_what_was_observed_of_something_nameless_is_told_with_it(said: str, told
     assert (said in text) == told and ("it follows samples" in text) != told
 
 
+def test_what_is_no_number_to_add_has_no_difference() -> None:
+    """A matrix of exchanged axes that the simulation alone has was to be added with the other sign."""
+    where = Where(0.0, 60.0, (0.0, 0.0), "samples")
+    sizes = {
+        "exchange": Parameter([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]], None, "1"),
+        "size": Parameter(2.0, None, "1"),
+    }
+    own = Finding("axis_exchange", "gyro", ["x"], where, sizes, Evidence(30.0), [], "")
+    one = Discrepancy("axis_exchange", "gyro", ["x"], where, "superfluous", 1.0, 30.0, simulated=own)
+    told = _finding(one, ("real.csv", "sim.csv"), {}, None)
+    assert set(told["simulated"]) == set(sizes)
+    assert told["difference"] == {"size": {"value": -2.0, "unit": "1"}}
+
+
 def test_a_daemons_user_is_told_of_the_sensor_and_of_no_simulation() -> None:
     def of_sensor(effect: str, sensor: str, **more: Any) -> str:
         finding: dict[str, Any] = {
