@@ -73,8 +73,11 @@ class FilterDelay:
         return position < gravity * self.unit**2
 
     def explains_growth(self, growth: float) -> bool:
-        """Whether a delay that grows by so much, s, may be one low-pass' for slow and for fast motion."""
-        return abs(growth) < MOST * self.unit
+        """Whether a delay that grows by so much, s, may be one low-pass' for slow and for fast motion.
+
+        A steeper one than of the fourth order delays by more.
+        """
+        return abs(growth) < max(MOST * self.unit, abs(self.delay.value))
 
     def finding(self, delay: Finding, total: Measured, *, alone: bool) -> Finding | None:
         """Return the low-pass that a delay confirms; None where the low-pass causes less than half of it.

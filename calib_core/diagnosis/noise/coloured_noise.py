@@ -46,6 +46,9 @@ LINE, MOST = 5, 0.75
 UNLIKE = 0.25
 """Part of a band's logarithm by which a sensor's axes may differ in it."""
 
+UNEVEN = 0.05
+"""Part of a band's logarithm by which rests may scatter besides: few frequencies have a steep one's power."""
+
 FLOOR = 0.02
 """Natural logarithm of power below which no two spectra of one sensor are known to be alike."""
 
@@ -151,7 +154,7 @@ def _of_band(seen: _Flat, rows: slice) -> Coloured | None:
     value = float(np.log(np.median(typical[rows].mean(axis=1)) / np.median(typical.mean(axis=1))))
     chance = OF_MEDIAN * float(np.sqrt(SHARED / (np.median(seen.averages) * (rows.stop - rows.start))))
     scatter = MAD_TO_SD * float(np.median(np.abs(pieces - np.median(pieces))))
-    even = scatter < UNSTEADY * chance / np.sqrt(3.0) + FLOOR
+    even = scatter < UNSTEADY * chance / np.sqrt(3.0) + FLOOR + UNEVEN * abs(value)
     alike = np.abs(by_axis - value).max() < 3.0 * chance / np.sqrt(len(pieces)) + UNLIKE * abs(value)
     if not (even and alike):
         return None

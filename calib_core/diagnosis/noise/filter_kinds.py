@@ -9,9 +9,9 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 
-ORDERS = (1, 2, 3, 4)
+ORDERS = (1, 2, 3, 4, 6, 8)
 
-RARE = (3,)
+RARE = (3, 6, 8)
 """Orders that are told only where no other one fits as well: noise hardly parts them from others."""
 
 PASSES = (2, 3)

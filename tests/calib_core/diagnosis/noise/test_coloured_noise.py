@@ -99,6 +99,16 @@ def test_what_a_low_pass_leaves_is_judged_before_it() -> None:
     assert told(coloured_noise(filtered)) is None
 
 
+def test_what_a_steep_filter_with_noise_behind_it_leaves_is_told() -> None:
+    """Its spectrum is level again, as beside motion that falls, so it is no low-pass by name."""
+    b, a = butter(6, 15.0, fs=RATE)
+    behind = 0.01 * np.random.default_rng(3).normal(size=(PIECES, LONG, 3))
+    steep = seen(lfilter(b, a, noise(), axis=1) + behind)
+    assert steep.low_pass is None
+    found = told(coloured_noise(steep))
+    assert found is not None and float(np.asarray(found.parameters["ratio"].value)) > 100.0
+
+
 def test_a_band_beyond_the_frequencies_that_are_judged_is_not_told() -> None:
     assert in_band(seen(noise()), (55.0, 70.0)) is None
 

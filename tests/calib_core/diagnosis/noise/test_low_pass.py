@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, firwin, lfilter
 
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Where
@@ -86,6 +86,22 @@ def test_smoothing_by_software_is_told_by_its_own_cutoff_and_delay(
     assert found is not None and found.low_pass is not None
     assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.03)
     assert found.low_pass.late.value * RATE == pytest.approx(samples_late, rel=0.06)
+
+
+@pytest.mark.parametrize("order", [6, 8])
+def test_a_steep_low_pass_is_told(order: int) -> None:
+    """Nothing was, nor of the means of 51 samples that fall as steeply."""
+    for filtered in (
+        lfilter(
+            *butter(order, 15.0, fs=RATE), np.random.default_rng(order).normal(size=(30, 1300, 3)), axis=1
+        ),
+        lfilter(
+            firwin(51, 15.0, fs=RATE), 1.0, np.random.default_rng(order).normal(size=(30, 1300, 3)), axis=1
+        ),
+    ):
+        found = judged(quiet(filtered[:, 300:]))
+        assert found is not None and found.low_pass is not None
+        assert found.low_pass.cutoff.value == pytest.approx(15.0, rel=0.08)
 
 
 @pytest.mark.parametrize("width", [1.5, 3.0])
