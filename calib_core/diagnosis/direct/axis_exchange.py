@@ -28,6 +28,9 @@ from stillcal.calib_core.maths.rotation import attitudes, matrix
 from stillcal.calib_core.streams.samples import Samples
 
 LEAST_TURNS = 8
+LEAST_THROUGHOUT = 5
+"""Turns from which an exchange for a while is looked for, and one throughout, which needs no stretch."""
+
 LEAST_BAD = 3
 FAR = 0.25
 TIMES = 8.0
@@ -78,9 +81,9 @@ def garbled(found: list[Step]) -> Finding | None:
 def other_axes(found: list[Step]) -> Finding | None:
     """Find axes of the gyroscope that are others than the accelerometer's in all of the turns found.
 
-    Which of the two has the other convention, no recording tells.
+    Which of the two has the other convention, no recording tells. Few turns may fit with several exchanges.
     """
-    if len(found) < LEAST_TURNS:
+    if len(found) < LEAST_THROUGHOUT:
         return None
     _, size = _rescaled(found)
     if _far(size) < LEAST_BAD:
@@ -88,7 +91,9 @@ def other_axes(found: list[Step]) -> Finding | None:
     some = [*_spread(_chosen(found, size > FAR)), *_spread(_chosen(found, size <= FAR))]
     every = exchanges()
     misses = [_misses(some, change) for change in every]
-    best = min(range(len(every)), key=lambda i: (_far(misses[i]), float(np.median(misses[i]))))
+    best, second = sorted(range(len(every)), key=lambda i: (_far(misses[i]), float(np.median(misses[i]))))[:2]
+    if len(found) < LEAST_TURNS and _far(misses[second]) == _far(misses[best]):
+        return None
     _, left = _rescaled([replace(s, rate=s.rate @ every[best].T) for s in found])
     if _far(left) > (1.0 - MENDED) * _far(size):
         return None
@@ -104,7 +109,7 @@ def _far(size: Array) -> int:
 
 def turns_between(gyroscope: Samples | None, bins: Bins, gravity: float) -> list[Step]:
     """Return the turns between rests; none without a gyroscope, or where rests are too few to be judged."""
-    if gyroscope is None or bins.rate is None or len(bins) < LEAST_TURNS:
+    if gyroscope is None or bins.rate is None or len(bins) <= LEAST_THROUGHOUT:
         return []
     baseline = fit_baseline(bins.force, bins.force_variance, bins.rest, gravity)
     return [

@@ -47,13 +47,19 @@ def test_two_conventions_are_told_by_the_exchange_that_mends_all_turns(
     assert garbled(turns) is None
 
 
-def from_face_to_face(seed: int) -> tuple[Samples, Samples]:
-    """Return 16 rests of 8 s, each on a face of the phone, after turns of 2 s about one of its axes."""
+def from_face_to_face(seed: int, *, askew: bool = False) -> tuple[Samples, Samples]:
+    """Return 16 rests of 8 s, each on a face of the phone, after turns of 2 s about one of its axes.
+
+    askew: about any axis instead, so that they lie anyhow.
+    """
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, 16 * 10.0, 0.02)
     turn, at = np.divmod(t, 10.0)
     angle = np.pi / 2 * rng.integers(1, 3, size=16)
     axes = np.eye(3)[rng.integers(3, size=16)]
+    if askew:
+        axes = rng.normal(size=(16, 3))
+        axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     x = np.clip(at / 2.0, 0.0, 1.0)
     own, share = (angle[:, None] * axes)[turn.astype(int)], x * x * (3.0 - 2.0 * x)
     before = [Rotation.identity()]
@@ -72,6 +78,34 @@ def test_turns_about_axes_that_are_right_hide_no_other_convention(change: np.nda
     force, spin = from_face_to_face(seed)
     found = other_axes(turns_between(changed(spin, change), cut(force, spin), G))
     assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
+
+
+def test_five_turns_tell_another_convention_and_nothing_else_as_one() -> None:
+    """A wrong sign and five turns were a match, without a word that axes could not be checked."""
+    told = []
+    for seed in range(3):
+        force, spin = from_face_to_face(seed, askew=True)
+        turns = turns_between(spin, cut(force, spin), G)
+        for own in (turns[k : k + 5] for k in range(0, len(turns) - 4, 2)):
+            exchanged, dead, limited = (
+                [replace(s, rate=wrong(s.rate)) for s in own]
+                for wrong in (
+                    lambda rate: rate @ SWAPPED,
+                    lambda rate: rate * np.array([1.0, 0.0, 1.0]),
+                    lambda rate: np.clip(rate, -0.5, 0.5),
+                )
+            )
+            assert other_axes(own) is None and other_axes(dead) is None and other_axes(limited) is None
+            told.append(other_axes(exchanged))
+            assert other_axes(exchanged[:4]) is None
+    stated = [f.parameters["exchange"].value for f in told if f is not None]
+    assert all(np.array_equal(one, SWAPPED) for one in stated) and 2 * len(stated) >= len(told)
+
+
+def test_five_turns_that_several_exchanges_mend_tell_none_of_them() -> None:
+    force, spin = from_face_to_face(1)
+    turns = turns_between(changed(spin, SWAPPED), cut(force, spin), G)
+    assert other_axes(turns) is not None and other_axes(turns[:5]) is None
 
 
 @pytest.mark.parametrize("seed", range(3))
