@@ -40,6 +40,9 @@ CHANCE = 0.08
 FEWEST = 9
 """Frequencies of the narrowest band: twice as many as a line has."""
 
+LEAST_BANDS = 3
+"""Bands of which the middle one is most of the spectrum."""
+
 LINE, MOST = 5, 0.75
 """Neighbouring frequencies that a line is spread over, and the part of a band's power that makes it one."""
 
@@ -99,7 +102,7 @@ def coloured_noise(spectrum: Spectra) -> Coloured | None:
     """
     seen = _flat(spectrum)
     bands = [] if seen is None else seen.bands()
-    if seen is None or len(bands) < LEAST_PIECES:
+    if seen is None or len(bands) < LEAST_BANDS:
         return None
     typical = seen.power.mean(axis=(0, 2))
     logs = np.log([np.median(typical[band]) for band in bands])
@@ -136,7 +139,7 @@ def _flat(spectrum: Spectra) -> _Flat | None:
     used = spectrum.band & (shape > SEEN).all(axis=1)
     power = spectrum.power[:, used] / shape[None, used]
     own = quietest(spectrum.power[:, spectrum.band], spectrum.averages) & (power > 0.0).all(axis=(1, 2))
-    if own.sum() < LEAST_PIECES or used.sum() < LEAST_PIECES * FEWEST:
+    if own.sum() < LEAST_PIECES or used.sum() < LEAST_BANDS * FEWEST:
         return None
     level = np.median(power[own].mean(axis=0), axis=0)
     return _Flat(power[own] / level, spectrum.f[used], spectrum.averages[own])
@@ -176,8 +179,9 @@ def coloured_noise_finding(found: Coloured, sensor: str, sound: Usual, where: Wh
     times = float(np.exp(found.log_ratio.value))
     low, high = found.band
     say = (
-        f"The {NAME[sensor]}'s noise at rest is not white: from {low:.3g} to {high:.3g} Hz it has {times:.3g}"
-        " times the power of most other frequencies, on all axes and in all rests alike."
+        f"The {NAME[sensor]}'s noise at rest is not white: from {low:.3g} to {high:.3g} Hz it has"
+        f" {float(f'{times:.3g}'):g} times the power of most other frequencies, on all axes and in all rests"
+        " alike."
     )
     ratio = Measured(times, times * found.log_ratio.error).parameter("1")
     parameters = {"ratio": ratio, **sized({"from": (low, "Hz"), "to": (high, "Hz")})}

@@ -37,17 +37,20 @@ LEAST_PIECES = 3
 CLEAN = 0.02
 MODEL = 0.02
 """Relative error of a cutoff for not knowing how the filter was made."""
+
 ABOVE_STEPS = 3.0
 LEAST_SHAPE = 8
 """Times the noise of the steps that power has, and numbers of a spectrum that have it, to tell a shape."""
 
 FLATTENED = 1.0
 """ln of power over a filter's, at frequencies that it suppresses: what is more is no noise of that filter."""
+
 FADED = 1e-6
 """Part of the power below which nothing is left of it: windows spread more into what a filter suppresses."""
 
 AS_LOUD = float(np.log(4.0))
 """ln of power, before any filter, by which two axes of a sound phone differ at most: twice the density."""
+
 OF_MEDIAN = 1.35
 """Variance of the median of three numbers, times three, over that of one."""
 
