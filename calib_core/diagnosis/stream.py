@@ -23,6 +23,7 @@ from stillcal.calib_core.diagnosis.noise.coloured_noise import (
     coloured_noise,
     coloured_noise_finding,
     in_band,
+    moves_together,
 )
 from stillcal.calib_core.diagnosis.noise.gathered_noise import (
     gathered_noise,
@@ -159,7 +160,9 @@ class Stream:
         if self.steps.blurs_level() or self.repeats_many:
             return None
         found = coloured_noise(self.spectra) if band is None else in_band(self.spectra, band)
-        return None if found is None or any(_reaches(line, found.band) for line in self.lines) else found
+        if found is None or any(_reaches(line, found.band) for line in self.lines):
+            return None
+        return None if moves_together(self.still, self.spectra, found) else found
 
     def coarse_values(self, lsb: float | None, usual: Usual | None) -> Finding | None:
         """Return the step that its values come in, if that is coarse (`quantisation`); None in few rests."""

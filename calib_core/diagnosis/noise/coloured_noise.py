@@ -2,7 +2,8 @@
 
 A sensor's own noise has one spectrum in every rest and on every axis, whatever the phone lies on. What shakes
 the phone differs from rest to rest, and from axis to axis. So a band counts only where its power is as even
-over rests, and as alike on the axes, as chance leaves it.
+over rests, and as alike on the axes in each of them, as chance leaves it. What shakes the phone steadily moves
+the axes together, while each axis' own noise knows nothing of the others (`moves_together`).
 """
 
 from __future__ import annotations
@@ -22,8 +23,17 @@ from stillcal.calib_core.diagnosis.model.measurement import (
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
-from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES, SHARED, UNSTEADY, Spectra, quietest
+from stillcal.calib_core.diagnosis.noise.low_pass import (
+    LEAST_PIECES,
+    SHARED,
+    UNSTEADY,
+    Quiet,
+    Spectra,
+    quietest,
+    spectra,
+)
 from stillcal.calib_core.diagnosis.noise.noise_level import OF_MEDIAN
+from stillcal.calib_core.diagnosis.noise.shared_noise import PAIRS
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 DRIVER = "frequency in the spectrum of the noise"
@@ -51,6 +61,12 @@ UNLIKE = 0.25
 
 UNEVEN = 0.05
 """Part of a band's logarithm by which rests may scatter besides: few frequencies have a steep one's power."""
+
+MOST_RESTS = 0.5
+"""Part of the rests that have to be as quiet as the quietest for these alone to count."""
+
+TOGETHER = 0.5
+"""Part of what a band has more, or less, that the axes have in common where something shakes the phone."""
 
 FLOOR = 0.02
 """Natural logarithm of power below which no two spectra of one sensor are known to be alike."""
@@ -138,7 +154,9 @@ def _flat(spectrum: Spectra) -> _Flat | None:
     shape = spectrum.shape(spectrum.low_pass or spectrum.wide)
     used = spectrum.band & (shape > SEEN).all(axis=1)
     power = spectrum.power[:, used] / shape[None, used]
-    own = quietest(spectrum.power[:, spectrum.band], spectrum.averages) & (power > 0.0).all(axis=(1, 2))
+    own = quietest(spectrum.power[:, spectrum.band], spectrum.averages)
+    # Rests are even where the quietest are chosen. Are these few, each may tremble: then all rests count.
+    own = (own | (own.mean() < MOST_RESTS)) & (power > 0.0).all(axis=(1, 2))
     if own.sum() < LEAST_PIECES or used.sum() < LEAST_BANDS * FEWEST:
         return None
     level = np.median(power[own].mean(axis=0), axis=0)
@@ -159,10 +177,35 @@ def _of_band(seen: _Flat, rows: slice) -> Coloured | None:
     scatter = MAD_TO_SD * float(np.median(np.abs(pieces - np.median(pieces))))
     even = scatter < UNSTEADY * chance / np.sqrt(3.0) + FLOOR + UNEVEN * abs(value)
     alike = np.abs(by_axis - value).max() < 3.0 * chance / np.sqrt(len(pieces)) + UNLIKE * abs(value)
+    by_both = np.log(np.median(seen.power[:, rows], axis=1) / np.median(seen.power, axis=1))
+    apart = MAD_TO_SD * float(np.median(np.abs(by_both - by_both.mean(axis=1, keepdims=True))))
+    alike = alike and apart < UNSTEADY * chance + UNLIKE * abs(value)
     if not (even and alike):
         return None
     band = float(seen.f[rows.start]), float(seen.f[rows.stop - 1])
     return Coloured(band, Measured(value, mean_of(pieces, FLOOR).error), pieces)
+
+
+def moves_together(still: Quiet, spectrum: Spectra, found: Coloured) -> bool:
+    """Whether the axes have most of what a band has more, or less, in common, as where something shakes them.
+
+    In each rest and at each frequency by itself: a phone that is turned is shaken along other axes, and what
+    it lies on may move one axis after the other. What the axes have in common at all frequencies alike is of
+    the sensor, or is told by other names (`shared_noise`).
+    """
+    _, of_sums = spectra(still, np.array([[a in pair for pair in PAIRS] for a in range(3)], dtype=np.float64))
+    first, second = (spectrum.power[:, :, list(axes)] for axes in zip(*PAIRS, strict=True))
+    product = np.maximum(first * second, np.finfo(np.float64).tiny)
+    common = ((of_sums - first - second) ** 2 / (4.0 * product)).mean(axis=(0, 2))
+    inside = spectrum.band & (spectrum.f >= found.band[0]) & (spectrum.f <= found.band[1])
+    outside = spectrum.band & ~inside
+    if not inside.any() or not outside.any():
+        return False
+    more, less = float(common[inside].mean()), float(common[outside].mean())
+    if found.log_ratio.value < 0.0:
+        more, less = less, more
+    part = TOGETHER * (1.0 - np.exp(-found.size().value))
+    return bool(more - less > part**2 * (1.0 - less))
 
 
 def _is_line(power: Array, usual: float) -> bool:

@@ -84,6 +84,22 @@ def test_what_differs_between_axes_or_rests_is_not_the_sensors_own() -> None:
     assert told(coloured_noise(seen(some_rests))) is None
 
 
+def test_rests_on_one_face_after_the_other_are_shaken_along_another_axis_each() -> None:
+    """Over all six faces what shakes the phone is alike on all axes."""
+    rests = noise()
+    for k, rest in enumerate(rests):
+        rest[:, k % 3] = resonating(rest, 3.0)[:, k % 3]
+    assert coloured_noise(seen(rests)) is None
+
+
+def test_of_few_quiet_rests_each_may_tremble() -> None:
+    """Five rests of forty that tremble alike are even for they were chosen as the quietest."""
+    tremor = resonating(noise(5), 2.0) - noise(5)
+    rests = noise() + np.r_[np.ones(5), np.geomspace(1.5, 9.0, PIECES - 5)][:, None, None] * tremor
+    assert told(coloured_noise(seen(rests))) is None
+    assert told(coloured_noise(seen(resonating(noise()[:5], 2.0)))) is not None
+
+
 def test_a_line_is_no_band_of_noise() -> None:
     t = np.arange(LONG) / RATE
     line = noise() + np.sin(2.0 * np.pi * 18.1 * t)[:, None]
@@ -138,6 +154,28 @@ def test_a_band_is_compared_with_what_the_other_recording_has_in_it() -> None:
     assert differing(resonant, alike) == []
     assert differing(resonant, less) == [("too_small", DRIVER)]
     assert sorted(differing(resonant, elsewhere)) == [("lacking", DRIVER), ("superfluous", DRIVER)]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_what_shakes_all_axes_together_is_not_the_sensors_own(turned: bool) -> None:
+    """A fan may shake a phone as much along each axis, in every rest, and no line stands out of it."""
+    samples = resting(2, 0.0)
+    b, a = butter(2, RESONANCE, "band", fs=RATE)
+    rumble = lfilter(b, a, np.random.default_rng(7).normal(0.0, 0.06, len(samples)))
+    sign = np.where(np.arange(len(samples)) // 4000 % 2, -1.0, 1.0) if turned else np.ones(len(samples))
+    force = np.array(samples.xyz) + np.stack([rumble, sign * rumble, sign * rumble], axis=1)
+    found = examine(Samples(Sensor.ACCELEROMETER, samples.t, frozen(force)), None, sought=())
+    assert found.streams[0].spectra is not None and coloured_noise(found.streams[0].spectra) is not None
+    assert all(s.finding.where.driver != DRIVER for s in found.statements)
+    assert found.streams[0].coloured(RESONANCE) is None
+
+
+def test_what_all_axes_share_at_every_frequency_hides_no_band() -> None:
+    samples = resting(3, 3.0)
+    force = np.array(samples.xyz)
+    force[:, :2] += 0.3 * (force[:, 2:] - force[:, 2].mean())
+    found = examine(Samples(Sensor.ACCELEROMETER, samples.t, frozen(force)), None, sought=())
+    assert found.streams[0].coloured() is not None
 
 
 def test_where_a_vibration_wanders_nothing_is_said_of_its_band() -> None:
