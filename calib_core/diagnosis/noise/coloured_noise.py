@@ -2,8 +2,8 @@
 
 A sensor's own noise has one spectrum in every rest and on every axis, whatever the phone lies on. What shakes
 the phone differs from rest to rest, and from axis to axis. So a band counts only where its power is as even
-over rests, and as alike on the axes in each of them, as chance leaves it. What shakes the phone steadily moves
-the axes together, while each axis' own noise knows nothing of the others (`moves_together`).
+over rests, and as alike on the axes in each of them, as chance leaves it. What shakes the phone steadily
+moves the axes together, while each axis' own noise knows nothing of the others (`moves_together`).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
+from stillcal.calib_core.diagnosis.model.settings import BANDWIDTH_LIMIT
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
 from stillcal.calib_core.diagnosis.noise.low_pass import (
     LEAST_PIECES,
@@ -114,7 +115,8 @@ class _Flat:
 def coloured_noise(spectrum: Spectra) -> Coloured | None:
     """Return the band that stands apart most.
 
-    None where rests or axes differ in it by more than chance, and where it is a line.
+    None where rests or axes differ in it by more than chance, where it is a line, and where the noise falls
+    only so near half the sample rate as it does behind the low-passes that parts come with.
     """
     seen = _flat(spectrum)
     bands = [] if seen is None else seen.bands()
@@ -131,6 +133,8 @@ def coloured_noise(spectrum: Spectra) -> Coloured | None:
     while last < logs.size and beyond[last]:
         last += 1
     rows = slice(bands[first].start, bands[last - 1].stop)
+    if last == len(bands) and logs[k] < 0.0 and seen.f[rows.start] > BANDWIDTH_LIMIT * spectrum.rate:
+        return None
     return None if _is_line(typical[rows], float(np.median(typical))) else _of_band(seen, rows)
 
 

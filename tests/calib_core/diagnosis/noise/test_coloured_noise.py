@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter
+from scipy.signal import butter, cheby1, lfilter, sosfilt
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
@@ -98,6 +98,14 @@ def test_of_few_quiet_rests_each_may_tremble() -> None:
     rests = noise() + np.r_[np.ones(5), np.geomspace(1.5, 9.0, PIECES - 5)][:, None, None] * tremor
     assert told(coloured_noise(seen(rests))) is None
     assert told(coloured_noise(seen(resonating(noise()[:5], 2.0)))) is not None
+
+
+def test_a_sharp_filter_near_half_the_rate_is_what_parts_come_with() -> None:
+    fast = np.random.default_rng(3).normal(size=(PIECES, 4 * LONG, 3))
+    for edge, is_told in ((40.0, False), (28.0, True)):
+        sharp = sosfilt(cheby1(8, 0.5, edge, fs=4.0 * RATE, output="sos"), fast, axis=1)[:, ::4]
+        found = seen(sharp + 0.1 * sharp.std() * noise())
+        assert found.low_pass is None and (told(coloured_noise(found)) is not None) == is_told
 
 
 def test_a_line_is_no_band_of_noise() -> None:
