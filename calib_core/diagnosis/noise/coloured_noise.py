@@ -206,10 +206,12 @@ def moves_together(still: Quiet, spectrum: Spectra, found: Coloured) -> bool:
     if not inside.any() or not outside.any():
         return False
     more, less = float(common[inside].mean()), float(common[outside].mean())
+    fewest = len(of_sums) * len(PAIRS) * min(int(inside.sum()), int(outside.sum()))
+    chance = 3.0 * float(common[spectrum.band].mean()) * float(np.sqrt(2.0 * SHARED / fewest))
     if found.log_ratio.value < 0.0:
         more, less = less, more
     part = TOGETHER * (1.0 - np.exp(-found.size().value))
-    return bool(more - less > part**2 * (1.0 - less))
+    return bool(more - less > part**2 * (1.0 - less) + chance)
 
 
 def _is_line(power: Array, usual: float) -> bool:

@@ -178,6 +178,14 @@ def test_what_shakes_all_axes_together_is_not_the_sensors_own(turned: bool) -> N
     assert found.streams[0].coloured(RESONANCE) is None
 
 
+def test_chance_moves_no_axes_together() -> None:
+    """White noise tells that it has no more in a band than in any other."""
+    for seed in range(3):
+        found = examine(resting(seed, 0.0), None, sought=())
+        for low in (5.0, 12.0, 20.0, 30.0):
+            assert found.streams[0].coloured((low, 1.4 * low)) is not None
+
+
 def test_what_all_axes_share_at_every_frequency_hides_no_band() -> None:
     samples = resting(3, 3.0)
     force = np.array(samples.xyz)
