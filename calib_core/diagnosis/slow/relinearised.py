@@ -49,12 +49,18 @@ class OffTurns:
     values: Sequence[Array]
 
     def __call__(self, samples: Samples) -> Array:
-        """Return the rate (n, 3) of some of the gyroscope's samples, rad/s."""
+        """Return the rate (n, 3) of some of the gyroscope's samples, rad/s.
+
+        OverflowError: where no rate with the effect at that rate is the one read.
+        """
         read = self.rates(samples)
         error = np.zeros_like(read)
-        for _ in range(HALVINGS):
-            true = (read - self.affine.bias - error) @ self.affine.mapping.T
-            error = 0.5 * (error + self._error(samples.t, true))
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(HALVINGS):
+                true = (read - self.affine.bias - error) @ self.affine.mapping.T
+                error = 0.5 * (error + self._error(samples.t, true))
+        if not np.isfinite(error).all():
+            raise OverflowError("an effect of the rate is larger than the rate itself")
         return np.asarray(read - error)
 
     def _error(self, t: Array, rate: Array) -> Array:
@@ -89,7 +95,8 @@ def about_effects(
 ) -> tuple[list[Stated], AboutTurns | None]:
     """Return the statements of turns with the sizes of named effects estimated about these effects.
 
-    With them come the turns without these effects; None where none has a name.
+    With them come the turns without these effects; None where none has a name, or one is so large that
+    nothing is left to estimate it about.
 
     start: the sensors' parameters and the turns that they were found in; rates: what was taken off the rates
     there; again: makes both of other rates.
@@ -103,7 +110,10 @@ def about_effects(
     estimates: list[Estimate] = []
     (affine, residuals), known = start, start[1]
     for _ in range(ROUNDS):
-        affine, made = again(OffTurns(rates, affine, known, found, values))
+        try:
+            affine, made = again(OffTurns(rates, affine, known, found, values))
+        except OverflowError:
+            return list(stated), None
         if made is None:
             return list(stated), None
         residuals, taken = made, values

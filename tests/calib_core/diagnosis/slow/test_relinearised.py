@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -23,12 +25,12 @@ G, HZ, FINE = 9.80665, 100, 10
 SCALE = np.array([1.01, 0.99, 1.005])
 
 
-def fast_turns(cubic: float, seed: int) -> tuple[Samples, Samples]:
+def fast_turns(cubic: float, seed: int, rests: int = 50) -> tuple[Samples, Samples]:
     """Fifty rests of 25 s in twenty attitudes, turns of 0.6 to 2.5 s between, of up to 8 rad/s."""
     rng = np.random.default_rng(seed)
     places = Rotation.random(20, random_state=seed)
     now, rates = places[0], []
-    for _ in range(50):
+    for _ in range(rests):
         target = places[int(rng.integers(20))]
         k = round(rng.uniform(0.6, 2.5) * HZ * FINE)
         swell = np.sin(np.pi * (np.arange(k) + 0.5) / k) ** 2
@@ -74,3 +76,19 @@ def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
     assert (np.abs(np.asarray(told.value) - cubic) < 3.5 * sigma).all(), (told.value, sigma)
     assert (sigma < 0.1 * max(cubic, 3e-4)).all()
     assert finding.statement, "it says the new size"
+
+
+def test_of_an_effect_that_grows_without_end_the_sizes_stay_as_they_were_found() -> None:
+    """The diagnosis of a real session ended in an error of the least squares: its sizes ran away."""
+    accelerometer, gyroscope = fast_turns(0.0, 1, rests=12)
+    bins = cut(accelerometer, gyroscope)
+
+    def turned(rates: Rates) -> tuple[Aligned, SensorResiduals | None]:
+        made = aligned(gyroscope, bins, G, rates=rates)
+        return made, turn_residuals(made, bins, G)
+
+    affine, residuals = turned(as_read)
+    assert residuals is not None
+    first = estimate(residuals, residuals.hypothesis(RateNonlinearity(3), {}), [])
+    one = stated(residuals, replace(first, value=np.full(6, 1e3)))
+    assert about_effects([one], (affine, residuals), as_read, turned) == ([one], None)
