@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, cheby1, lfilter, sosfilt
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.comparison.direct import band_of_other, why_no_band
 from stillcal.calib_core.diagnosis.diagnose import examine
+from stillcal.calib_core.diagnosis.direct.halves import quantities_of
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
@@ -135,6 +139,7 @@ def test_what_a_steep_filter_with_noise_behind_it_leaves_is_told() -> None:
 
 def test_a_band_beyond_the_frequencies_that_are_judged_is_not_told() -> None:
     assert in_band(seen(noise()), (55.0, 70.0)) is None
+    assert in_band(seen(noise()), (44.0, 70.0)) is None
 
 
 def resting(seed: int, gain: float, band: tuple[float, float] = RESONANCE) -> Samples:
@@ -184,6 +189,21 @@ def test_chance_moves_no_axes_together() -> None:
         found = examine(resting(seed, 0.0), None, sought=())
         for low in (5.0, 12.0, 20.0, 30.0):
             assert found.streams[0].coloured((low, 1.4 * low)) is not None
+
+
+def test_what_another_recording_has_in_a_band_without_a_finding_of_its_own() -> None:
+    """Less than sound phones have is none; what shakes that recording hides it, and that is said."""
+    found = told(coloured_noise(seen(resonating(noise(), 3.0))))
+    assert found is not None and quantities_of(found) == ("noise_coloured",)
+    found = replace(found, sensor="accel")
+    white, weak = (examine(resting(k, gain), None, sought=()) for k, gain in enumerate((0.0, 0.4)))
+    assert band_of_other(found, white) is None and why_no_band(found, white) is None
+    less = band_of_other(found, weak)
+    assert less is not None and 1.4 < float(np.asarray(less.parameters["ratio"].value)) < 2.4
+    moving = resting(5, 0.0)
+    rumble = resonating(np.random.default_rng(8).normal(0.0, 0.02, (len(moving), 1)), 3.0)
+    shaken = Samples(Sensor.ACCELEROMETER, moving.t, frozen(np.array(moving.xyz) + rumble))
+    assert why_no_band(found, examine(shaken, None, sought=())) is not None
 
 
 def test_what_all_axes_share_at_every_frequency_hides_no_band() -> None:
