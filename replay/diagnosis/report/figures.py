@@ -234,8 +234,8 @@ RecordedAndSimulated = Sequence[tuple[str, str, Samples, Bins]]
 """Label, colour, samples and static bins of the recording, the simulation, and the corrected simulation."""
 
 
-def spectrum_figure(sources: RecordedAndSimulated, unit: str, axis: int, mark: float | None) -> str:
-    """Draw the noise densities of one axis at rest. mark: Hz."""
+def spectrum_figure(sources: RecordedAndSimulated, unit: str, axis: int, marks: Sequence[float]) -> str:
+    """Draw the noise densities of one axis at rest. marks: Hz, of a frequency or the ends of a band."""
     lines = []
     for label, colour, samples, bins in sources:
         still = quiet(samples, bins)
@@ -249,9 +249,10 @@ def spectrum_figure(sources: RecordedAndSimulated, unit: str, axis: int, mark: f
             # A simulation that matches lies on the recording: both must be visible.
             dash = "--" if colour == AFTER else "-"
             axes.loglog(f, density * scale, dash, color=colour, lw=1.5, label=label)
-        if mark is not None:
+        for mark in marks:
             axes.axvline(mark, color="#999999", lw=1.0, ls=":")
-        axes.set_xlabel("frequency, Hz" if mark is None else f"frequency, Hz (dotted: {mark:.4g} Hz)")
+        dotted = " and ".join(f"{mark:.4g}" for mark in marks)
+        axes.set_xlabel(f"frequency, Hz (dotted: {dotted} Hz)" if dotted else "frequency, Hz")
         axes.set_ylabel(f"noise density {'xyz'[axis]}, {name}")
     return out[0]
 

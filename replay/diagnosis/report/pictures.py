@@ -10,6 +10,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.motion.axis_delays import DRIVER as AXES_LATE
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
+from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURED
 from stillcal.calib_core.diagnosis.noise.lines.line import COMES_AND_GOES, WANDERS
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
@@ -178,9 +179,11 @@ def _kind(finding: Mapping[str, Any]) -> tuple[Draw, str, str] | None:
     """Return how a finding is drawn, what the picture is of, and its caption."""
     effect = finding["effect"]
     axis = "xyz".index(finding["axes"][0]) if finding["axes"] else 0
-    if effect in SPECTRAL or finding["where"]["driver"] in (COMES_AND_GOES, WANDERS):
+    driver = finding["where"]["driver"]
+    if effect in SPECTRAL or driver in (COMES_AND_GOES, WANDERS, COLOURED):
         mark = _number(finding, "frequency", "cutoff")
-        draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, axis, mark)  # noqa: E731 - one of five
+        marks = finding["where"]["band_hz"] if driver == COLOURED else [] if mark is None else [mark]
+        draw: Draw = lambda three, unit: figures.spectrum_figure(three, unit, axis, marks)  # noqa: E731 - one of five
         return draw, "Noise density at rest", f"Noise density of axis {'xyz'[axis]} at rest."
     if effect in LIMITED:
         limit = _number(finding, "limit") or 1.0

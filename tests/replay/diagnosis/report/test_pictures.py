@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
+from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURED
 from stillcal.calib_core.diagnosis.noise.lines.steady_period import DRIVER as STEADY_PERIOD
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.report import figures
 from stillcal.replay.diagnosis.report.pictures import _of_samples
 from stillcal.replay.diagnosis.report.sample_figures import _folded
 
@@ -46,3 +49,15 @@ def test_a_jump_of_gravity_s_direction_is_drawn_in_time() -> None:
     source = ("recorded", "#444444", samples, cut(samples, None))
     (picture,) = _of_samples(answered(UNSEEN_TILT, angle=0.02), [source])
     assert "about the first jump" in picture.caption and picture.svg.startswith("<?xml")
+
+
+def test_a_band_of_noise_is_drawn_in_the_spectrum_between_its_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A histogram of samples at rest, as of other effects without a name, shows nothing of it."""
+    drawn = []
+    monkeypatch.setattr(figures, "spectrum_figure", lambda *told: drawn.append(told) or "")
+    samples = lying()
+    source = ("recorded", "#444444", samples, cut(samples, None))
+    finding = answered(COLOURED, ratio=4.0)
+    finding["where"] = {"t_start": 0.0, "t_end": 200.0, "band_hz": [12.0, 19.0], "driver": COLOURED}
+    (picture,) = _of_samples(finding, [source])
+    assert picture.caption == "Noise density of axis z at rest." and drawn[0][2:] == (2, [12.0, 19.0])
