@@ -33,7 +33,7 @@ _OF_TIME = {"tau_s", "period_s", "frequency", "cutoff", "highest_rate", "lowest_
 SCALE_BY_AXIS = Part("scale", "1", 3)
 """An accelerometer's scale by rests: its common factor looks like another gravity."""
 
-_OF_FORM = {"exchange", "miss", "from", "to"}
+_OF_FORM = {"exchange", "miss"}
 WITHOUT_ZERO = frozenset({"limit", "ratio", "order", "longest", *_OF_TIME, *_OF_FORM})
 """Parameters of which an ideal sensor has no value that could be written as a number, or added to."""
 

@@ -293,7 +293,7 @@ def band_of_other(finding: Finding, other: Examination) -> Finding | None:
         return None
     times = float(np.exp(found.log_ratio.value))
     ratio = Measured(times, times * found.log_ratio.error).parameter("1")
-    return replace(finding, parameters={**finding.parameters, "ratio": ratio})
+    return replace(finding, parameters={"ratio": ratio})
 
 
 def why_no_band(finding: Finding, other: Examination) -> str | None:

@@ -19,7 +19,6 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     direct_finding,
     mean_of,
     of_measured,
-    sized,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.settings import BANDWIDTH_LIMIT
@@ -232,7 +231,6 @@ def coloured_noise_finding(found: Coloured, sensor: str, sound: Usual, where: Wh
         f" {float(f'{times:.3g}'):g} times the power of most other frequencies, on all axes and in all rests"
         " alike."
     )
-    ratio = Measured(times, times * found.log_ratio.error).parameter("1")
-    parameters = {"ratio": ratio, **sized({"from": (low, "Hz"), "to": (high, "Hz")})}
+    parameters = {"ratio": Measured(times, times * found.log_ratio.error).parameter("1")}
     own = Where(where.t_start, where.t_end, found.band, DRIVER)
     return direct_finding("unknown", sensor, [0, 1, 2], own, parameters, statement=say, seen=seen)
