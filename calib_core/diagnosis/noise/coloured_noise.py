@@ -171,22 +171,36 @@ def _of_band(seen: _Flat, rows: slice) -> Coloured | None:
 
     None where it is not as even over pieces, and as alike on the axes, as chance leaves it.
     """
-    typical = seen.power.mean(axis=0)
-    by_axis = np.log(np.median(typical[rows], axis=0) / np.median(typical, axis=0))
-    of_piece = seen.power.mean(axis=2)
-    pieces = np.log(np.median(of_piece[:, rows], axis=1) / np.median(of_piece, axis=1))
-    value = float(np.log(np.median(typical[rows].mean(axis=1)) / np.median(typical.mean(axis=1))))
-    chance = OF_MEDIAN * float(np.sqrt(SHARED / (np.median(seen.averages) * (rows.stop - rows.start))))
-    scatter = MAD_TO_SD * float(np.median(np.abs(pieces - np.median(pieces))))
-    even = scatter < UNSTEADY * chance / np.sqrt(3.0) + FLOOR + UNEVEN * abs(value)
-    alike = np.abs(by_axis - value).max() < 3.0 * chance / np.sqrt(len(pieces)) + UNLIKE * abs(value)
-    by_both = np.log(np.median(seen.power[:, rows], axis=1) / np.median(seen.power, axis=1))
-    apart = MAD_TO_SD * float(np.median(np.abs(by_both - by_both.mean(axis=1, keepdims=True))))
-    alike = alike and apart < UNSTEADY * chance + UNLIKE * abs(value)
-    if not (even and alike):
+    mean = seen.power.mean(axis=2)
+    value = float(_log_ratio(mean.mean(axis=0), rows, 0))
+    pieces = _log_ratio(mean, rows, 1)
+    if not _is_even(seen, rows, value, pieces):
         return None
     band = float(seen.f[rows.start]), float(seen.f[rows.stop - 1])
     return Coloured(band, Measured(value, mean_of(pieces, FLOOR).error), pieces)
+
+
+def _log_ratio(power: Array, rows: slice, axis: int) -> Array:
+    """Return the logarithm of the median power of some frequencies over that of all. axis: theirs."""
+    return np.asarray(
+        np.log(np.median(power.take(range(rows.start, rows.stop), axis), axis) / np.median(power, axis))
+    )
+
+
+def _is_even(seen: _Flat, rows: slice, value: float, pieces: Array) -> bool:
+    """Whether a band's logarithms, `value` of all and (P,) of each piece, are alike over pieces and axes.
+
+    The axes are held against each other over all pieces, and in each of them.
+    """
+    chance = OF_MEDIAN * float(np.sqrt(SHARED / (np.median(seen.averages) * (rows.stop - rows.start))))
+    scatter = MAD_TO_SD * float(np.median(np.abs(pieces - np.median(pieces))))
+    if scatter >= UNSTEADY * chance / np.sqrt(3.0) + FLOOR + UNEVEN * abs(value):
+        return False
+    by_axis, of_each = _log_ratio(seen.power.mean(axis=0), rows, 0), _log_ratio(seen.power, rows, 1)
+    apart = MAD_TO_SD * float(np.median(np.abs(of_each - of_each.mean(axis=1, keepdims=True))))
+    if apart >= UNSTEADY * chance + UNLIKE * abs(value):
+        return False
+    return bool(np.abs(by_axis - value).max() < 3.0 * chance / np.sqrt(len(pieces)) + UNLIKE * abs(value))
 
 
 def moves_together(still: Quiet, spectrum: Spectra, found: Coloured) -> bool:
