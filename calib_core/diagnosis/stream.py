@@ -15,7 +15,7 @@ from stillcal.calib_core.diagnosis.direct.saturation import saturation
 from stillcal.calib_core.diagnosis.direct.step_changes import step_change
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, Claims, Finding, Where
-from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
+from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, sound_phones, usual
 from stillcal.calib_core.diagnosis.noise import low_pass as spectrum
 from stillcal.calib_core.diagnosis.noise import noise_level as noise
 from stillcal.calib_core.diagnosis.noise.coloured_noise import (
@@ -162,7 +162,9 @@ class Stream:
         found = coloured_noise(self.spectra) if band is None else in_band(self.spectra, band)
         if found is None or any(_reaches(line, found.band) for line in self.lines):
             return None
-        return None if moves_together(self.still, self.spectra, found) else found
+        # What makes as much as sound phones have is not asked: spectra of sums take long in a day of rests.
+        sound = found.size().value <= sound_phones()["noise_coloured"].highest
+        return found if sound or not moves_together(self.still, self.spectra, found) else None
 
     def coarse_values(self, lsb: float | None, usual: Usual | None) -> Finding | None:
         """Return the step that its values come in, if that is coarse (`quantisation`); None in few rests."""
