@@ -31,6 +31,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
 from stillcal.calib_core.diagnosis.motion.turning_windows import Span
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
+from stillcal.calib_core.diagnosis.noise.coloured_noise import is_end_of_wander
 from stillcal.calib_core.diagnosis.noise.lines.line import WANDERS, middle_hz
 from stillcal.calib_core.diagnosis.segments.noiseless import audible
 from stillcal.calib_core.diagnosis.segments.overview import Overview
@@ -46,7 +47,7 @@ from stillcal.calib_core.diagnosis.slow.taken_off import Known, OffRates, off_bi
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import turn_errors
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_residuals
 from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
-from stillcal.calib_core.diagnosis.slow.wander import sizes_along_gravity
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER, sizes_along_gravity
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, agreed, direct_findings
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.rms import rms
@@ -129,7 +130,7 @@ def examine(
     made = _of_samples(accelerometer, gyroscope, bins, claims, sound=sound, doubled=doubled, silent=silent)
     made = _hidden_by_zones(replace(made, statements=[*map(Stated, zones), *made.statements]))
     progress(MEASURED)
-    made = _with_slow(made, covariates, without, sought, progress)
+    made = _without_ends(_with_slow(made, covariates, without, sought, progress))
     made = _with_motion(made, without, sound, in_turns=sought is None, of_turns=of_turns)
     made = _with_tilts(made, seconds) if sought is None else made
     return replace(made, statements=[replace(s, finding=_named(s.finding, without)) for s in made.statements])
@@ -154,6 +155,21 @@ def _hidden_by_zones(exam: Examination) -> Examination:
         if f.effect != "unknown" or is_zone(f) or f.sensor not in taken
     ]
     return replace(exam, streams=hides, statements=kept)
+
+
+WALK = "bias_random_walk"
+
+
+def _without_ends(exam: Examination) -> Examination:
+    """Return an examination without bands of noise that are the end of a bias' wander, which is told."""
+    told = [s.finding for s in exam.statements]
+    wanders = {f.sensor for f in told if f.where.driver == NO_DRIVER or f.effect.endswith(WALK)}
+    spectra = {s.sensor: s.spectra for s in exam.streams if s.sensor in wanders and s.spectra is not None}
+
+    def is_end(finding: Finding) -> bool:
+        return finding.sensor in spectra and is_end_of_wander(finding, spectra[finding.sensor])
+
+    return replace(exam, statements=[s for s in exam.statements if not is_end(s.finding)])
 
 
 def _of_samples(

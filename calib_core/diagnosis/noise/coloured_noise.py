@@ -248,3 +248,9 @@ def coloured_noise_finding(found: Coloured, sensor: str, sound: Usual, where: Wh
     parameters = {"ratio": Measured(times, times * found.log_ratio.error).parameter("1")}
     own = Where(where.t_start, where.t_end, found.band, DRIVER)
     return direct_finding("unknown", sensor, [0, 1, 2], own, parameters, statement=say, seen=seen)
+
+
+def is_end_of_wander(found: Finding, spectrum: Spectra) -> bool:
+    """Whether a band has more and reaches to the lowest frequency judged, as a bias that wanders much has."""
+    more = found.where.driver == DRIVER and float(np.asarray(found.parameters["ratio"].value)) > 1.0
+    return more and found.where.band_hz[0] <= float(spectrum.f[spectrum.band][0])

@@ -22,6 +22,7 @@ from stillcal.calib_core.diagnosis.noise.coloured_noise import (
     coloured_noise,
     coloured_noise_finding,
     in_band,
+    is_end_of_wander,
 )
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, judged
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -221,3 +222,11 @@ def test_where_a_vibration_wanders_nothing_is_said_of_its_band() -> None:
     force = np.array(samples.xyz) + 0.1 * np.sin(2.0 * np.pi * np.cumsum(pace) / RATE)[:, None]
     found = examine(Samples(Sensor.ACCELEROMETER, samples.t, frozen(force)), None, sought=())
     assert all(s.finding.where.driver != DRIVER for s in found.statements)
+
+
+def test_more_at_the_lowest_frequencies_alone_may_be_the_end_of_a_wander() -> None:
+    falling, resonant = seen(lfilter([1.0], [1.0, -0.9], noise(), axis=1)), seen(resonating(noise(), 3.0))
+    less = seen(np.diff(noise(), axis=1))
+    for spectrum, end in ((falling, True), (resonant, False), (less, False)):
+        found = told(coloured_noise(spectrum))
+        assert found is not None and is_end_of_wander(found, spectrum) == end
