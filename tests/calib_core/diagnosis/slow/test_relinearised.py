@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -55,10 +56,11 @@ def stated(residuals: SensorResiduals, found: Estimate) -> Stated:
     return Stated(finding, found.hypothesis, residuals)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("cubic", [2e-3, 2e-4])
-def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
-    accelerometer, gyroscope = fast_turns(cubic, 1)
+Again = Callable[[Rates], tuple[Aligned, SensorResiduals | None]]
+
+
+def nonlinear(accelerometer: Samples, gyroscope: Samples) -> tuple[Again, Aligned, SensorResiduals, Estimate]:
+    """Return what makes the turns of other rates, the turns as read, and the nonlinearity that they show."""
     bins = cut(accelerometer, gyroscope)
 
     def turned(rates: Rates) -> tuple[Aligned, SensorResiduals | None]:
@@ -67,10 +69,17 @@ def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
 
     affine, residuals = turned(as_read)
     assert residuals is not None
-    first = estimate(residuals, residuals.hypothesis(RateNonlinearity(3), {}), [])
+    return turned, affine, residuals, estimate(residuals, residuals.hypothesis(RateNonlinearity(3), {}), [])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cubic", [2e-3, 2e-4])
+def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
+    accelerometer, gyroscope = fast_turns(cubic, 1)
+    again, affine, residuals, first = nonlinear(accelerometer, gyroscope)
     if cubic > 1e-3:
         assert (first.value[3:] < cubic - 3.0 * first.sigma[3:]).any(), "as read, it is too small"
-    finding = about_effects([stated(residuals, first)], (affine, residuals), as_read, turned)[0][0].finding
+    finding = about_effects([stated(residuals, first)], (affine, residuals), as_read, again)[0][0].finding
     told = finding.parameters["cubic"]
     sigma = np.diff(np.asarray(told.ci95), axis=1).ravel() / (2.0 * 1.96)
     assert (np.abs(np.asarray(told.value) - cubic) < 3.5 * sigma).all(), (told.value, sigma)
@@ -81,14 +90,6 @@ def test_a_cubic_term_is_that_of_the_true_rate(cubic: float) -> None:
 def test_of_an_effect_that_grows_without_end_the_sizes_stay_as_they_were_found() -> None:
     """The diagnosis of a real session ended in an error of the least squares: its sizes ran away."""
     accelerometer, gyroscope = fast_turns(0.0, 1, rests=12)
-    bins = cut(accelerometer, gyroscope)
-
-    def turned(rates: Rates) -> tuple[Aligned, SensorResiduals | None]:
-        made = aligned(gyroscope, bins, G, rates=rates)
-        return made, turn_residuals(made, bins, G)
-
-    affine, residuals = turned(as_read)
-    assert residuals is not None
-    first = estimate(residuals, residuals.hypothesis(RateNonlinearity(3), {}), [])
+    again, affine, residuals, first = nonlinear(accelerometer, gyroscope)
     one = stated(residuals, replace(first, value=np.full(6, 1e3)))
-    assert about_effects([one], (affine, residuals), as_read, turned) == ([one], None)
+    assert about_effects([one], (affine, residuals), as_read, again) == ([one], None)
