@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import DRIVER as UNSEEN_TILT
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURED
+from stillcal.calib_core.diagnosis.noise.coloured_noise import Coloured
 from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
@@ -284,24 +285,25 @@ def band_of_other(finding: Finding, other: Examination) -> Finding | None:
 
     None where that does not tell it, or has no more there than sound phones have.
     """
-    if finding.where.driver != COLOURED:
-        return None
-    found = next(
-        (s.coloured(finding.where.band_hz) for s in other.streams if s.sensor == finding.sensor), None
-    )
+    found = _in_band(finding, other)
     if found is None or found.size().value <= sound_phones()["noise_coloured"].highest:
         return None
-    times = float(np.exp(found.log_ratio.value))
-    ratio = Measured(times, times * found.log_ratio.error).parameter("1")
-    return replace(finding, parameters={"ratio": ratio})
+    return replace(finding, parameters={"ratio": found.ratio().parameter("1")})
 
 
 def why_no_band(finding: Finding, other: Examination) -> str | None:
     """Say why another recording does not tell what its noise has in a band; None where it does."""
+    if finding.where.driver != COLOURED or _in_band(finding, other) is not None:
+        return None
+    return "its noise at rest does not tell what it has in that band"
+
+
+def _in_band(finding: Finding, other: Examination) -> Coloured | None:
+    """Return what another recording's noise has in a finding's band; None of a finding that is in none."""
     if finding.where.driver != COLOURED:
         return None
-    own = [s.coloured(finding.where.band_hz) for s in other.streams if s.sensor == finding.sensor]
-    return None if any(own) else "its noise at rest does not tell what it has in that band"
+    streams = (s for s in other.streams if s.sensor == finding.sensor)
+    return next((s.coloured(finding.where.band_hz) for s in streams), None)
 
 
 def _octaves(one: Finding, other: Finding) -> float:

@@ -27,18 +27,18 @@ from stillcal.calib_core.diagnosis.noise.low_pass import (
     LEAST_PIECES,
     SHARED,
     UNSTEADY,
+    USED_RANGE,
     Quiet,
     Spectra,
     quietest,
-    spectra,
 )
 from stillcal.calib_core.diagnosis.noise.noise_level import OF_MEDIAN
-from stillcal.calib_core.diagnosis.noise.shared_noise import PAIRS
+from stillcal.calib_core.diagnosis.noise.shared_noise import PAIRS, sums_of_pairs
 from stillcal.calib_core.maths.robust import MAD_TO_SD
 
 DRIVER = "frequency in the spectrum of the noise"
 
-SEEN = float(np.exp(-3.5))
+SEEN = float(np.exp(-USED_RANGE))
 """Part of its power that a low-pass leaves where the noise before it is still judged."""
 
 WIDTH = 1.15
@@ -86,6 +86,11 @@ class Coloured:
     def size(self) -> Measured:
         """Return how far it stands apart, on the scale of the population of sound phones."""
         return Measured(abs(self.log_ratio.value), self.log_ratio.error)
+
+    def ratio(self) -> Measured:
+        """Return how many times the power of most of the spectrum it has."""
+        times = float(np.exp(self.log_ratio.value))
+        return Measured(times, times * self.log_ratio.error)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +215,7 @@ def moves_together(still: Quiet, spectrum: Spectra, found: Coloured) -> bool:
     it lies on may move one axis after the other. What the axes have in common at all frequencies alike is of
     the sensor, or is told by other names (`shared_noise`).
     """
-    _, of_sums = spectra(still, np.array([[a in pair for pair in PAIRS] for a in range(3)], dtype=np.float64))
+    of_sums = sums_of_pairs(still)
     first, second = (spectrum.power[:, :, list(axes)] for axes in zip(*PAIRS, strict=True))
     product = np.maximum(first * second, np.finfo(np.float64).tiny)
     common = ((of_sums - first - second) ** 2 / (4.0 * product)).mean(axis=(0, 2))
@@ -238,14 +243,13 @@ def coloured_noise_finding(found: Coloured, sensor: str, sound: Usual, where: Wh
     """State a band that no sound phone has; it has no name, for many a cause may have it."""
     sign = 1.0 if found.log_ratio.value >= 0.0 else -1.0
     seen = of_measured(found.size(), sound, of_means(sign * found.pieces, np.array([sound.middle])))
-    times = float(np.exp(found.log_ratio.value))
-    low, high = found.band
+    (low, high), ratio = found.band, found.ratio()
     say = (
         f"The {NAME[sensor]}'s noise at rest is not white: from {low:.3g} to {high:.3g} Hz it has"
-        f" {float(f'{times:.3g}'):g} times the power of most other frequencies, on all axes and in all rests"
-        " alike."
+        f" {float(f'{ratio.value:.3g}'):g} times the power of most other frequencies, on all axes and in all"
+        " rests alike."
     )
-    parameters = {"ratio": Measured(times, times * found.log_ratio.error).parameter("1")}
+    parameters = {"ratio": ratio.parameter("1")}
     own = Where(where.t_start, where.t_end, found.band, DRIVER)
     return direct_finding("unknown", sensor, [0, 1, 2], own, parameters, statement=say, seen=seen)
 

@@ -47,6 +47,11 @@ class Shared:
         return self.coefficient.log(FLOOR)
 
 
+def sums_of_pairs(still: Quiet) -> Array:
+    """Return the densities (pieces, F, 3) of the sums of two axes, in the order of `PAIRS`."""
+    return spectra(still, np.array([[a in pair for pair in PAIRS] for a in range(3)], dtype=np.float64))[1]
+
+
 def shared_noise(still: Quiet, spectrum: Spectra) -> Shared | None:
     """Return the two axes whose noise at rest is most correlated; None in too few rests.
 
@@ -61,11 +66,10 @@ def shared_noise(still: Quiet, spectrum: Spectra) -> Shared | None:
         return np.asarray(np.einsum("pfa,f->pa", density[:, used], weight))
 
     own = power(spectrum.power)
-    _, of_sums = spectra(still, np.array([[a in pair for pair in PAIRS] for a in range(3)], dtype=np.float64))
     alive = (own > 0.0).all(axis=1)
     if alive.sum() < LEAST_PIECES:
         return None
-    own, both = own[alive], power(of_sums)[alive]
+    own, both = own[alive], power(sums_of_pairs(still))[alive]
     first, second = (own[:, list(axes)] for axes in zip(*PAIRS, strict=True))
     # A sum of two has the power of both and twice what they share.
     by_piece = (both - first - second) / (2.0 * np.sqrt(first * second))

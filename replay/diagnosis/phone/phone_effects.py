@@ -10,9 +10,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, OF_DENSITY, of_some_axes
 from stillcal.calib_core.diagnosis.effects.catalogue import foreign_effects
-from stillcal.calib_core.diagnosis.model.records import AXES, Finding
+from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.replay.diagnosis.phone.twin import Conditions
 from stillcal.replay.phone.effects.base import Effect
@@ -42,7 +42,7 @@ def map_findings(findings: Sequence[Finding], bins: Bins, conditions: Conditions
 def _map_finding(finding: Finding, bins: Bins, conditions: Conditions) -> MappedFinding:
     if finding.effect in OF_DENSITY:
         return MappedFinding(finding, None, "included in the white noise of its sensor")
-    if finding.effect == LOW_PASS and 0 < len(finding.axes) < len(AXES):
+    if finding.effect == LOW_PASS and of_some_axes(finding.axes):
         return MappedFinding(finding, None, FILTERS_ALL)
     kind = EFFECTS.get(finding.effect)
     if kind is None:

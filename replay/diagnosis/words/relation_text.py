@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, of_some_axes
 from stillcal.calib_core.diagnosis.effects.followed import column_of
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
 from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
@@ -216,7 +216,7 @@ def _exchanged(finding: Mapping[str, Any]) -> str:
 
 def _on_some_axes(finding: Mapping[str, Any]) -> str:
     """Return which axes a low-pass filters, if not all of them."""
-    if finding["effect"] != LOW_PASS or len(finding["axes"]) not in (1, 2):
+    if finding["effect"] != LOW_PASS or not of_some_axes(finding["axes"]):
         return ""
     return f" It filters {' and '.join(finding['axes'])} alone."
 

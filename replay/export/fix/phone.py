@@ -16,9 +16,8 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES
 from stillcal.calib_core.diagnosis.comparison.direct import ALIKE, LINE
-from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY, of_some_axes
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
-from stillcal.calib_core.diagnosis.model.records import AXES
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
@@ -157,7 +156,7 @@ class _Phone:
     def setting(self, finding: Finding) -> None:
         """Change what the phone has as a setting of its own; without one, it is an effect like others."""
         table, field, parameter = SETTINGS[finding["effect"]]
-        if field == "cutoff_hz" and 0 < len(finding["axes"]) < len(AXES):
+        if field == "cutoff_hz" and of_some_axes(finding["axes"]):
             raise CannotHold(FILTERS_ALL)
         owner = table or finding["sensor"]
         settings = getattr(self.phone, owner)

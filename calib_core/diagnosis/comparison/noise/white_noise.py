@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -192,6 +193,11 @@ def _of_one(one: tuple[int, ...], other: tuple[int, ...]) -> tuple[int, ...]:
     return alone[0] or alone[1] or one
 
 
+def of_some_axes(axes: Sequence[Any]) -> bool:
+    """Whether a low-pass that filters these axes leaves others as they are; none named stand for all."""
+    return 0 < len(axes) < len(AXES)
+
+
 def _low_pass(stream: Stream, axes: tuple[int, ...]) -> Quantity | None:
     """Return the logarithm of the cutoff on some axes, Hz; half the rate for none; None if noise hides it.
 
@@ -216,7 +222,7 @@ def _low_pass(stream: Stream, axes: tuple[int, ...]) -> Quantity | None:
         reference={} if own is None else {"order": own.order},
         where=Where(*stream.span, (0.0, spectra.rate / 2.0), AT_REST),
         none=own is None,
-        axes=axes if 0 < len(axes) < len(AXES) else (),
+        axes=axes if of_some_axes(axes) else (),
     )
 
 
