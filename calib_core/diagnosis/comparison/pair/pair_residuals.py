@@ -62,6 +62,7 @@ def pair_residuals(
     span = (float(t[0]), float(t[-1]))
     moved = cut_all(true.force, true.rate, events, span)
     moving = in_motion(true.force, true.rate, moved) if mismatch == 0.0 else np.ones(len(moved))
+    moved = _turned_in_motion(moved, moving == 0.0)
     judged = moving if np.sum(moving == 0.0) >= thresholds.LEAST_BINS else None
     left = cut_all(difference.force, difference.rate, events, span, judged)
     if len(left) < thresholds.LEAST_BINS:
@@ -81,6 +82,19 @@ def pair_residuals(
         gyro = SensorResiduals("gyro", cut.bins, rate, STANDARD, up, force_powers=powers)
         sensors.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
     return cut.bins, sensors
+
+
+def _turned_in_motion(moved: Bins, still: NDArray[np.bool_]) -> Bins:
+    """Return bins whose rate is what turns the gyroscope: none where it is `still` (n,).
+
+    Elsewhere it is the reading less what is read at rest, which is an error of its own. As an input, an error
+    in which both differ by a factor, as a sensitivity to gravity that is too large, would be a wrong scale,
+    and only turns would speak against it.
+    """
+    if moved.rate is None or not still.any():
+        return moved
+    turns = moved.rate - np.median(moved.rate[still], axis=0)
+    return replace(moved, rate=np.where(still[:, None], 0.0, turns))
 
 
 def _with_inputs(left: Bins, moved: Bins, rounding: Mapping[str, Array]) -> Bins:

@@ -11,6 +11,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair.measured import _constants
 from stillcal.calib_core.diagnosis.comparison.pair.motion import Motion, left_in_motion
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import _of_steps, pair_residuals
+from stillcal.calib_core.diagnosis.comparison.pair.search import _searched
 from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothesis
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
@@ -222,3 +223,47 @@ def test_a_gyroscopes_scale_shows_in_spite_of_steps_that_motion_dithers() -> Non
     errors = np.sqrt(fit.covariance.diagonal()) * sizes
     gains, errors = (fit.beta * sizes)[[3, 7, 11]], errors[[3, 7, 11]]
     assert ((gains / errors) ** 2).sum() > 16.3, "chance exceeds it once in 1000"
+
+
+TO_GRAVITY = 1e-4 * np.array([[0.2, 3.0, -4.0], [-3.0, -6.0, -5.0], [3.0, 1.5, -1.0]])
+"""(rad/s)/(m/s^2), of a gyroscope that is sensitive to gravity."""
+
+
+def sensitive_to_gravity(force: Array, rate: Array) -> tuple[Array, Array]:
+    return force, rate + force @ TO_GRAVITY.T
+
+
+def three_times_as_sensitive(force: Array, rate: Array) -> tuple[Array, Array]:
+    return force, rate + 3.0 * force @ TO_GRAVITY.T
+
+
+def of_gravity(rest: float, turns: int) -> SensorResiduals:
+    """Return the gyroscope's residuals where the other one is three times as sensitive to gravity."""
+    real = turned(1, sensitive_to_gravity, rest=rest, turns=turns)
+    simulated = turned(101, three_times_as_sensitive, rest=rest, turns=turns)
+    true = mean_readings(real, [simulated])
+    return pair_residuals(less(real, true), true, [], 0.0)[1][1]
+
+
+def test_what_a_gyroscope_reads_at_rest_is_no_input() -> None:
+    residuals = of_gravity(REST, 6)
+    rate, moving = residuals.bins.rate, residuals.views[0].moving
+    assert rate is not None and moving is not None
+    assert not rate[moving == 0.0].any()
+    assert np.linalg.norm(rate[moving == 1.0], axis=1).max() > 0.1
+
+
+@pytest.mark.slow
+def test_errors_at_rest_that_differ_by_a_factor_are_no_scale() -> None:
+    """Every rest here fits a scale of a third, and there are many for each turn."""
+    _, stated = _searched(of_gravity(60.0, 8))
+    assert [s.finding.effect for s in stated] == ["gyro_g_sensitivity"]
+    matrix = np.asarray(stated[0].finding.parameters["matrix"].value)
+    assert np.abs(matrix + 2.0 * TO_GRAVITY).max() < 5e-5
+
+
+@pytest.mark.slow
+def test_bins_in_motion_tell_once_what_they_differed_by_is_found() -> None:
+    """The noise of the rests alone looks like a saw here."""
+    _, stated = _searched(of_gravity(REST, 12))
+    assert [s.finding.effect for s in stated] == ["gyro_g_sensitivity"]
