@@ -144,6 +144,14 @@ class Stream:
             Stream.of(self.sensor, x, self.bins.chosen(np.asarray(rows)), self.lines) for x, rows in parts
         ]
 
+    def without_low_pass(self) -> Stream:
+        """Return the stream with its noise taken as it is, behind no low-pass."""
+        if self.spectra is None or self.levels is None:
+            return self
+        flat = replace(self.spectra, low_pass=None)
+        own = noise.levels(flat, _floor(self.still, self.steps))
+        return replace(self, spectra=flat, levels=replace(own, loud=self.levels.loud))
+
     def measured(self) -> dict[str, Measured]:
         """Return what its noise at rest measures, on the scales of the populations of sound phones."""
         out = of_noise(self.sensor, self.still, self.steps, self.spectra, self.levels)
@@ -189,7 +197,7 @@ def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, n
 
     What is louder than any sensor's noise shakes the phone: its spectrum tells no filter of the sensor.
     """
-    floor = seen.largest**2 / (6.0 * still.rate)
+    floor = _floor(still, seen)
     made = None if seen.hides_noise() else spectrum.judged(still, floor)
     if made is None:
         return None, None
@@ -197,6 +205,11 @@ def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, n
     if levels.values().min() <= loudest(sensor, still.rate):
         return made, levels
     return replace(made, low_pass=None), replace(levels, loud=True)
+
+
+def _floor(still: Quiet, seen: Steps) -> float:
+    """Return the power that steps add to noise as fine as they are, unit^2/Hz."""
+    return seen.largest**2 / (6.0 * still.rate)
 
 
 def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:

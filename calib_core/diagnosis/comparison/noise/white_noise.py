@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.quantity import TIMES, Difference, Key, Part, Quantity, Relation
+from stillcal.calib_core.diagnosis.comparison.quantity import (
+    TIMES,
+    Difference,
+    Key,
+    Part,
+    Quantity,
+    Relation,
+    subtract,
+)
 from stillcal.calib_core.diagnosis.direct.repeated_values import MANY
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, Where
-from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT
+from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
 from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
@@ -54,7 +62,8 @@ def of_both(exams: Sequence[Examination]) -> list[dict[Key, Quantity]]:
     """
     sides: list[dict[Key, Quantity]] = [{}, {}]
     for streams in zip(*(exam.streams for exam in exams), strict=False):
-        for shown in (_levels(streams), _low_passes(streams)):
+        low_passes = _low_passes(streams)
+        for shown in (_levels(_as_sure(streams, low_passes)), low_passes):
             for side, quantity in zip(sides, shown, strict=True):
                 if quantity is not None:
                     side[quantity.effect, quantity.sensor] = quantity
@@ -98,6 +107,19 @@ def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quan
         none=errors is None,
         error=SILENT * NONE_ERROR if errors is None else 0.0,
     )
+
+
+def _as_sure(streams: Sequence[Stream], low_passes: Sequence[Quantity | None]) -> list[Stream]:
+    """Return streams without a low-pass that one of two recordings alone shows, and not surely.
+
+    What it takes off the noise would be a difference of the noise before it.
+    """
+    own, other = low_passes
+    if own is None or other is None or own.none == other.none:
+        return list(streams)
+    if subtract(own, other).log_bayes_factor > CERTAIN_NATS:
+        return list(streams)
+    return [stream.without_low_pass() for stream in streams]
 
 
 def _levels(streams: Sequence[Stream]) -> list[Quantity | None]:

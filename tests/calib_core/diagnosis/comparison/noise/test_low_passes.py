@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,9 @@ from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS,
 from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.noise.low_pass import LowPass
+from stillcal.calib_core.diagnosis.noise.noise_level import levels
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turned_pairs import low_passed
 
@@ -121,3 +126,22 @@ def test_a_rate_too_low_to_show_a_cutoff_says_nothing_of_it() -> None:
     sides = of_both((still(20.0, 1), slow))
     assert [KEY in side for side in sides] == [True, False]
     assert why_not_measured("bandwidth", slow.streams[0]) == "its rate is too low to show it"
+
+
+@pytest.mark.parametrize(("error", "differ"), [(0.01, True), (12.0, False)])
+def test_what_an_unsure_low_pass_takes_off_is_no_difference_of_the_noise(error: float, differ: bool) -> None:
+    """Noise of one size, a hand's tremor beside it: a filter that one of the two seemed to have made it less
+    in the other, by a fifth."""
+    exams = still(None, 1), still(None, 2)
+    plain = exams[0].streams[0]
+    assert plain.spectra is not None and plain.levels is not None
+    shape = 1.0 / (1.0 + (plain.spectra.f / 32.0) ** 2)
+    behind = LowPass(Measured(32.0, error), shape, 10.0, 1, 0.0, Measured(0.0, 0.0))
+    filtered = replace(plain.spectra, low_pass=behind)
+    stream = replace(plain, spectra=filtered, levels=levels(filtered))
+    assert stream.levels is not None
+    (own, _) = of_both((replace(exams[0], streams=[stream]), exams[1]))
+    expected = (stream if differ else plain).levels
+    assert expected is not None
+    assert np.exp(own["noise_level", "accel"].value) == pytest.approx(expected.values())
+    assert stream.levels.values() == pytest.approx(1.3 * plain.levels.values(), rel=0.15)
