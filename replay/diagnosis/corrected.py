@@ -29,6 +29,7 @@ from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
 from stillcal.calib_core.diagnosis.slow.relinearised import HALVINGS
 from stillcal.calib_core.diagnosis.slow.taken_off import Known
+from stillcal.calib_core.diagnosis.slow.wander import WALK
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.resample import temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -173,7 +174,10 @@ def _with_added(
     linear = [d for d in discrepancies if all(d is not one for one, _ in changed)]
     for one in sorted(linear, key=lambda d: not d.effect.endswith("_scale")):
         samples = streams.get(one.sensor)
-        added = None if samples is None else _added(drivers, samples, one, biases, rng)
+        if samples is not None and one.effect.endswith(WALK):
+            added = _walk(samples, one, span_of(simulation.accelerometer), seed)
+        else:
+            added = None if samples is None else _added(drivers, samples, one, biases, rng)
         if samples is None or added is None:
             left_out.append(one.effect)
         else:
@@ -391,10 +395,24 @@ def _noise(samples: Samples, one: Discrepancy, rng: np.random.Generator) -> Arra
     return np.asarray(rng.normal(size=samples.xyz.shape) * np.sqrt(missing * rate_of(samples) / 2.0))
 
 
-def _missing(one: Discrepancy) -> Array:
-    """Return by how much the one-sided power density (3,) of the recording is above the simulation's.
+def _walk(samples: Samples, one: Discrepancy, span: tuple[float, float], seed: int) -> Array | None:
+    """Return the random walk that is missing; None where the simulation has too much of one.
 
-    On an axis on which they do not differ, chance alone sets it below: nothing is missing there.
+    It is drawn second by second of a `span`, s, so that samples and means of seconds get the same one.
+    """
+    if one.difference is None or (_missing(one) < 0.0).any():
+        return None
+    t = np.arange(span[0], span[1] + 1.0)
+    steps = np.random.default_rng(seed).normal(size=(t.size, len(AXES))) * np.sqrt(_missing(one))
+    course = np.cumsum(steps, axis=0) - steps[0]
+    return np.stack([np.interp(samples.t, t, axis) for axis in course.T], axis=1)
+
+
+def _missing(one: Discrepancy) -> Array:
+    """Return by how much the square of a density (3,) is larger in the recording than in the simulation.
+
+    Of white noise that is its one-sided power density. On an axis on which they do not differ, chance alone
+    sets it below: nothing is missing there.
     """
     assert one.difference is not None, "noise is compared as a density"
     recorded, simulated = np.exp(one.difference.recorded.value), np.exp(one.difference.simulated.value)

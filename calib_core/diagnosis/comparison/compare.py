@@ -106,7 +106,7 @@ def compare(
     smallest = [row for d in compared for row in of_difference(d, max(among, 1))]
     smallest += [row for key in neither if key in looked[0].sought for row in _of_both(looked, key)]
     whole = concluded(
-        compared,
+        [slow_noise.by_name(d, exams) for d in compared],
         alone,
         [*missing, *not_both],
         names,

@@ -29,6 +29,9 @@ from stillcal.calib_core.diagnosis.model.records import (
 )
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 
+WALK = "_bias_random_walk"
+"""How the name of wander ends, of either sensor, where it has one."""
+
 NO_DRIVER = "nothing that was recorded"
 """What wander without a name follows."""
 
@@ -181,7 +184,7 @@ def _random_walk(
     say = f"The {NAME[residuals.sensor]}'s bias random walk is {worst:.2g} {unit}; update the bias often."
     where = Where(*residuals.bins.span, SLOW_BAND, "nothing")
     evidence = Evidence(log_bayes_factor=max(w.log_bayes_factor_of_walk(limit) for w in by_axis))
-    name = f"{residuals.sensor}_bias_random_walk"
+    name = f"{residuals.sensor}{WALK}"
     return Finding(
         name, residuals.sensor, axes, where, {"density": _parameter(numbers, unit)}, evidence, [], say
     )

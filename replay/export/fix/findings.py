@@ -11,6 +11,8 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_NAMES
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.slow.wander import WALK
 from stillcal.calib_core.maths.rms import rms
 from stillcal.replay.export.imu import LAG_S
 
@@ -21,7 +23,8 @@ SENSORS = {"accel": "accelerometer", "gyro": "gyroscope"}
 ORDER = ("sample_rate", "accel_scale", "gyro_scale")
 """Applied first: a noise per sample depends on the rate, and a bias is added to what is scaled."""
 
-SLOW_NOISE = tuple(f"{sensor}_slow_noise" for sensor in SENSORS)
+WALKS = tuple(f"{sensor}{WALK}" for sensor in SENSORS)
+SLOW_NOISE = (*(f"{sensor}_slow_noise" for sensor in SENSORS), *WALKS)
 DEVIATION, WHITE = "allan_deviation_100s", "density"
 """Parameters of slow noise, its Allan deviation at `LAG_S`, and of white noise."""
 
@@ -224,7 +227,9 @@ def findings_of(answer: Mapping[str, Any]) -> list[Finding]:
     """
     compared = [*answer["findings"], *answer.get("agreed", ())]
     densities = {
-        one["sensor"]: {WHITE: one["parameters"][WHITE]} for one in compared if WHITE in one["parameters"]
+        one["sensor"]: {WHITE: one["parameters"][WHITE]}
+        for one in compared
+        if one["effect"] in OF_DENSITY and WHITE in one["parameters"]
     }
     beside = {f"{sensor}_slow_noise": density for sensor, density in densities.items()}
     return [
@@ -236,8 +241,10 @@ def slow_deviation(finding: Finding) -> Array:
     """Return the Allan deviation (3,) at `LAG_S` of the recording's slow noise alone.
 
     The one that was compared has white noise in it, by its square white^2 / (2 LAG_S) of a one-sided density
-    (IEEE Std 952-1997, Annex C). Raises CannotHold where that is not known.
+    (IEEE Std 952-1997, Annex C). Raises CannotHold where that is not known. A random walk has none in it.
     """
+    if finding["effect"] in WALKS:
+        return np.broadcast_to(recorded(finding, WHITE) * np.sqrt(LAG_S / 3.0), 3)
     if WHITE not in finding["parameters"]:
         raise CannotHold("how much of its Allan deviation is white noise is not known")
     whole, white = (recorded(finding, name) for name in (DEVIATION, WHITE))

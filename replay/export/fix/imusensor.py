@@ -16,6 +16,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
 from stillcal.calib_core.errors import UserError
 from stillcal.replay.export.fix.findings import (
+    SLOW_NOISE,
     WHITE,
     CannotHold,
     Finding,
@@ -83,9 +84,8 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
         _sample_rate(fixed, common_ratio(finding, "rate"))
 
     both = {"bias": bias, "bias_temperature": slope, "scale": scale, "scale_temperature": scale_slope}
-    handlers = {
-        f"{s}_{name}": handler for s in SENSORS for name, handler in (both | {"slow_noise": slow}).items()
-    }
+    handlers = {f"{s}_{name}": handler for s in SENSORS for name, handler in both.items()}
+    handlers |= dict.fromkeys(SLOW_NOISE, slow)
     apply_findings(findings, handlers | dict.fromkeys(OF_DENSITY, white) | {"sample_rate": rate}, fixed)
     return fixed
 

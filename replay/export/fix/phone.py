@@ -18,6 +18,7 @@ from stillcal.calib_core.calibration.corrections.bias_temperature import POWER_N
 from stillcal.calib_core.diagnosis.comparison.direct import ALIKE, LINE
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY, of_some_axes
 from stillcal.calib_core.diagnosis.effects.warmup import SETTLED
+from stillcal.calib_core.diagnosis.slow.wander import WALK
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.noise.allan import FLOOR
 from stillcal.replay.export.fix.findings import (
@@ -136,6 +137,17 @@ class _Phone:
         self._set_noise(finding, flicker=_vector(flicker), gauss_markov=wandering, random_walk=walk)
         place = f"{finding['sensor']}.noise: Allan deviation of its slow noise at {LAG_S:g} s"
         note_change(self._fixed, place, before, after)
+
+    def walk(self, finding: Finding) -> None:
+        """Give the phone's own random walk the recording's density; an effect stays one."""
+        noise = self._sensor(finding).noise
+        before = per_axis(noise.random_walk)
+        if not before.any() or any(_is_of(e, finding) for e in self.phone.effects):
+            self.other(finding)
+            return
+        after = on_its_axes(finding, recorded(finding, WHITE), before)
+        self._set_noise(finding, random_walk=_vector(after))
+        note_change(self._fixed, f"{finding['sensor']}.noise.random_walk", before, after)
 
     def rate(self, finding: Finding) -> None:
         factor = float(ratio(finding, "rate"))
@@ -308,6 +320,7 @@ def fix(text: str | None, findings: Sequence[Finding]) -> Fixed:
             f"{sensor}_scale": work.scale,
             f"{sensor}_scale_temperature": work.scale_temperature,
             f"{sensor}_slow_noise": work.slow,
+            f"{sensor}{WALK}": work.walk,
             f"{sensor}_warmup": work.warmup,
         }
     apply_findings(findings, handlers, fixed, otherwise=work.other)

@@ -472,3 +472,31 @@ def test_an_arm_is_looked_for_anew_in_a_corrected_simulation() -> None:
     simulated, measured = replace(exam, statements=[Stated(arm)]), replace(exam, statements=[])
     assert with_own_values(measured, simulated, set()).statements == []
     assert [s.finding for s in with_own_values(simulated, measured, set()).statements] == [arm]
+
+
+def test_a_random_walk_that_a_simulation_lacks_is_put_in() -> None:
+    """It was left out, and nothing showed that the fit improved. Seconds and samples get the same one."""
+    t, k = np.arange(200_000) / 10.0, 3
+    gyro = Samples(Sensor.GYROSCOPE, t, np.zeros((t.size, 3)))
+    accel = Samples(Sensor.ACCELEROMETER, t, np.full((t.size, 3), 5.7))
+    where, part = Where(0.0, t[-1], (0.0, 0.01), "nothing"), (Part("density", "rad/s/sqrt(s)", 3),)
+    own, other = (
+        Quantity(
+            "gyro_bias_random_walk", "gyro", part, np.log(np.full(k, size)), 0.01 * np.eye(k), np.ones(k),
+            np.full(k, 0.1), np.arange(k), logarithmic=True, where=where,
+        )
+        for size in (5e-5, 3e-5)
+    )  # fmt: skip
+    lacks = Discrepancy(
+        own.effect, "gyro", ["x", "y", "z"], where, "too_small", 1.0, 50.0, subtract(own, other)
+    )
+    made = correct(Recording(accel, gyro, [], Claims(), []), [lacks], {})
+    assert made.left_out == [] and made.recording.gyroscope is not None
+    course = made.recording.gyroscope.xyz
+    assert (course[0] == 0.0).all()
+    steps = np.diff(course[::1000], axis=0)
+    assert steps.std(axis=0) == pytest.approx(np.full(3, 4e-5 * np.sqrt(100.0)), rel=0.2)
+    few = correct(Recording(accel[::10], gyro[::10], [], Claims(), []), [lacks], {}).recording.gyroscope
+    assert few is not None and few.xyz == pytest.approx(course[::10], abs=1e-12)
+    more = replace(lacks, relation="too_large", difference=subtract(other, own))
+    assert correct(Recording(accel, gyro, [], Claims(), []), [more], {}).left_out == [own.effect]

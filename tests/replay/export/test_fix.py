@@ -343,6 +343,33 @@ def test_where_the_recording_has_white_noise_only_slow_noise_is_taken_out(tool: 
         assert fixed(tool, made.text, SLOW).text == fixed(tool, fresh, SLOW).text != made.text
 
 
+@pytest.mark.parametrize(
+    ("tool", "text", "written", "unit"),
+    [
+        ("kalibr", "gyroscope_random_walk: 1.0e-6\n", "gyroscope_random_walk: ", 1.0),
+        (
+            "imusensor",
+            "a = imuSensor();\na.Gyroscope.RandomWalk = [1e-6 1e-6 1e-6];\n",
+            "Walk = [",
+            np.sqrt(2.0),
+        ),
+        ("phone", "[gyro.noise]\nrandom_walk = 1e-6\n", "random_walk = [", 1.0),
+    ],
+)
+def test_a_random_walk_is_written_as_it_was_found(tool: str, text: str, written: str, unit: float) -> None:
+    """kalibr and the others held none: only slow noise of no certain kind was written."""
+    walk = finding("gyro_bias_random_walk", "gyro", {"density": ([5e-6] * 3, [2e-6] * 3)})
+    made = fixed(tool, text, walk)
+    assert float(made.text.partition(written)[2].split()[0].strip(",]")) * unit == pytest.approx(5e-6)
+    assert not made.not_held
+
+
+def test_a_density_of_a_walk_is_no_white_noise_beside_slow_noise() -> None:
+    walk = finding("gyro_bias_random_walk", "gyro", {"density": ([5e-6] * 3, [2e-6] * 3)})
+    made = fixed_for("kalibr", "gyroscope_random_walk: 1.0e-6\n", {"findings": [SLOW, walk]})
+    assert made.not_held == ["gyro_slow_noise: how much of its Allan deviation is white noise is not known"]
+
+
 def test_imusensor_s_bias_instability_is_slow_noise_that_is_left() -> None:
     text = "a = imuSensor();\na.Gyroscope.BiasInstability = 1e-5;\n"
     made = fixed("imusensor", text, SLOW)

@@ -20,6 +20,7 @@ from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.residuals import View
 from stillcal.calib_core.diagnosis.noise.noise_level import Levels
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
+from stillcal.calib_core.diagnosis.slow.wander import WALK
 
 ALIKE_WANDER = float(np.log(1.4))
 """Slow noise of one phone on two days: an Allan deviation of a process with such power at low frequency."""
@@ -74,6 +75,62 @@ def difference_of(recorded: Quantity, simulated: Quantity) -> Difference:
         return own
     fair = subtract(recorded.beside(simulated), simulated.beside(recorded))
     return replace(own, log_bayes_factor=fair.log_bayes_factor, of_usual_size=fair.of_usual_size)
+
+
+def by_name(difference: Difference, exams: Sequence[Examination]) -> Difference:
+    """Return a difference of slow noise as one of random walks, where the recording that has more states one.
+
+    Where the two agree both have to. One that states none, and has less than a third, is as good as without.
+    """
+    both = difference.recorded, difference.simulated
+    if not all(isinstance(q, SlowNoise) for q in both):
+        return difference
+    stated = [_states_walk(exam, q.sensor) for exam, q in zip(exams, both, strict=True)]
+    if not (all(stated) if difference.agrees else stated[int(difference.value.sum() < 0.0)]):
+        return difference
+    recorded, simulated = map(_as_walk, both)
+    apart = recorded.value - simulated.value
+    least = abs(float(apart.mean())) > TIMES
+    return replace(
+        difference,
+        recorded=replace(recorded, none=recorded.none or (least and not stated[0])),
+        simulated=replace(simulated, none=simulated.none or (least and not stated[1])),
+        value=apart,
+        covariance=recorded.covariance + simulated.covariance,
+    )
+
+
+def _states_walk(exam: Examination, sensor: str) -> bool:
+    """Whether a recording by itself shows a random walk of a sensor's bias, under that name."""
+    return any(s.finding.effect == f"{sensor}{WALK}" for s in exam.statements)
+
+
+def _as_walk(seen: Quantity) -> Quantity:
+    """Return the density of the random walk with this slow noise, on each axis.
+
+    The Allan variance at tau of a walk of density N is N^2 tau / 3 (IEEE Std 952-1997, Annex C). That of
+    white noise is beside it, and is never taken for more than nine tenths of what is seen.
+    """
+    assert isinstance(seen, SlowNoise), "of slow noise"
+    whole = np.exp(2.0 * seen.value)
+    own = np.maximum(whole - seen.white, 0.1 * whole)
+    value, spread = 0.5 * np.log(3.0 * own / AVERAGED), seen.sigma * whole / own
+    covariance = np.diag(spread**2)
+    if value.size == 1:
+        value, covariance = np.full(3, value[0]), np.full((3, 3), covariance[0, 0])
+    return Quantity(
+        f"{seen.sensor}{WALK}",
+        seen.sensor,
+        (Part("density", f"{UNIT[seen.sensor]}/sqrt(s)", 3),),
+        value,
+        covariance,
+        np.full(3, TIMES),
+        np.full(3, ALIKE_WANDER),
+        np.arange(3),
+        logarithmic=True,
+        where=seen.where,
+        none=seen.none,
+    )
 
 
 def why_no_slow_noise(exam: Examination, residuals: SensorResiduals) -> str | None:

@@ -33,10 +33,7 @@ from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.model.records import Finding, Parameter
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.slow.statement import Stated
-from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER, log_evidence
-
-WALK = "_bias_random_walk"
-"""How the name of wander ends, where it has one."""
+from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER, WALK, log_evidence
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
 """The axes of an accelerometer's three misalignments by rests, which tell no turn of all axes."""

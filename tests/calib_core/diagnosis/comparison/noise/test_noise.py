@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import _is_motion, compare
 from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import (
     SlowNoise,
+    by_name,
     difference_of,
     slow_noise,
     why_no_slow_noise,
@@ -251,3 +254,45 @@ def test_noise_of_one_axis_that_a_step_would_hide_is_not_lacking() -> None:
 def test_a_slow_log_has_all_the_noise_in_a_narrower_band() -> None:
     assert loudest("accel", 100.0) == loudest("accel", 21.0) == LOUDEST["accel"]
     assert loudest("accel", 21.0 / 4.0) == pytest.approx(2.0 * LOUDEST["accel"])
+
+
+def walks(*sensors: str) -> Any:
+    """Return what an examination states: a random walk of each of some sensors."""
+    stated = [SimpleNamespace(finding=SimpleNamespace(effect=f"{s}_bias_random_walk")) for s in sensors]
+    return SimpleNamespace(statements=stated)
+
+
+@pytest.mark.parametrize(
+    ("larger", "stated", "effect", "relation"),
+    [
+        (20.0, ("gyro", ""), "gyro_bias_random_walk", "lacking"),
+        (0.05, ("", "gyro"), "gyro_bias_random_walk", "superfluous"),
+        (2.0, ("gyro", "gyro"), "gyro_bias_random_walk", "too_small"),
+        (2.0, ("gyro", ""), "gyro_bias_random_walk", "too_small"),
+        (20.0, ("", ""), "gyro_slow_noise", "too_small"),
+        (20.0, ("accel", "gyro"), "gyro_slow_noise", "too_small"),
+    ],
+)
+def test_slow_noise_has_the_name_that_the_recording_with_more_of_it_states(
+    larger: float, stated: tuple[str, str], effect: str, relation: str
+) -> None:
+    """A random walk that one of the two alone has was slow noise, of which there is more."""
+    own, other = resting(1e-3, 1e-3 * larger, 1), resting(1e-3, 1e-3, 2)
+    found = by_name(difference_of(own, other), [walks(one) for one in stated])
+    assert found.recorded.effect == found.simulated.effect == effect
+    assert found.relation() == relation
+
+
+def test_a_walk_has_the_density_that_makes_its_allan_deviation() -> None:
+    """N sqrt(tau / 3) of IEEE Std 952-1997, beside white noise."""
+    own = resting(1e-3, 1e-2, 1)
+    found = by_name(difference_of(own, resting(1e-3, 1e-5, 2)), [walks("gyro"), walks()])
+    own_part = np.sqrt(np.exp(2.0 * own.value) - own.white)
+    assert np.exp(found.recorded.value) == pytest.approx(own_part * np.sqrt(3.0 / 100.0))
+    assert [p.unit for p in found.recorded.parts] == ["rad/s/sqrt(s)"]
+
+
+def test_what_agrees_is_a_walk_only_where_both_state_one() -> None:
+    one = replace(difference_of(resting(1e-3, 1e-2, 1), resting(1e-3, 1e-2, 2)), agrees=True)
+    for stated, effect in (("gyro", "gyro_bias_random_walk"), ("", "gyro_slow_noise")):
+        assert by_name(one, [walks("gyro"), walks(stated)]).recorded.effect == effect
