@@ -5,18 +5,34 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, OF_TURNS
 from stillcal.calib_core.diagnosis.comparison.ideal import compare_with_ideal
 from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment
-from stillcal.calib_core.diagnosis.comparison.pair.measured import measured_in_pair, none_of, taken_out
+from stillcal.calib_core.diagnosis.comparison.pair.measured import (
+    Alone,
+    each_alone,
+    measured_in_pair,
+    none_of,
+    taken_out,
+)
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
-from stillcal.calib_core.diagnosis.comparison.quantity import Difference, subtract, weighed
+from stillcal.calib_core.diagnosis.comparison.quantity import (
+    Difference,
+    Quantity,
+    posterior,
+    subtract,
+    weighed,
+)
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import axes_of
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.model.settings import CERTAIN
+from stillcal.calib_core.diagnosis.model.records import Alternative
+from stillcal.calib_core.diagnosis.model.settings import CERTAIN, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
+UNTOLD = "Rests in more attitudes decide it."
 NOT_SOUGHT = "it is not looked for in a pair"
 
 
@@ -44,7 +60,8 @@ def compare_in_pair(exam: Examination, motion: Alignment | None = None) -> Compa
     pairs = [d for (effect, _), d in by_key.items() if effect.endswith(("_bias", "_scale"))]
     count = found.comparisons + len(pairs)
     pairs = weighed(pairs, max(count, 1))
-    out += [_of_constant(d) for d in pairs if d.probability >= CERTAIN]
+    pairs, stated = _constants(pairs, exam, count)
+    out += stated
     return replace(
         found,
         discrepancies=sorted(out, key=lambda d: -d.log_bayes_factor),
@@ -82,8 +99,8 @@ def without_found(
 
     direct: what is stated besides; motion: what the corrected simulation differs by in motion.
     """
-    names = {(d.effect, d.sensor) for d in found.discrepancies if d.difference is not None}
-    sensors = [taken_out(exam, residuals, names) for residuals in exam.sensors]
+    told = {(d.effect, d.sensor): d.difference.value for d in found.discrepancies if d.difference}
+    sensors = [taken_out(exam, residuals, told) for residuals in exam.sensors]
     after = examined_in_pair(exam, exam.bins, sensors, direct)
     return compare_in_pair(after, motion)
 
@@ -95,6 +112,58 @@ def without_equation(found: Comparison) -> list[str]:
 
 def _sized(found: Discrepancy, difference: Difference | None) -> Discrepancy:
     return found if difference is None else replace(found, difference=difference)
+
+
+def _constants(
+    pairs: Sequence[Difference], exam: Examination, count: int
+) -> tuple[list[Difference], list[Discrepancy]]:
+    """Return the differences of bias and scale as they are known, and those of them that are stated."""
+    known, stated = list[Difference](), list[Discrepancy]()
+    for residuals in exam.sensors:
+        own = [d for d in pairs if d.recorded.sensor == residuals.sensor]
+        said = _of_sensor(own, each_alone(exam, residuals), count)
+        differences = {d.effect: d.difference for d in said}
+        known += [differences.get(d.recorded.effect) or d for d in own]
+        stated += said
+    return known, stated
+
+
+def _of_sensor(own: Sequence[Difference], alone: Sequence[Alone], count: int) -> list[Discrepancy]:
+    """Return what is stated of a sensor's bias and scale.
+
+    Where one of them is sure, and nothing speaks for the other beside it, it is as it is alone.
+    """
+    sure = [d for d in own if d.probability >= CERTAIN]
+    if not sure:
+        return _of_either(alone, count)
+    (first,) = (one for one in alone if one.quantity.effect == sure[0].recorded.effect)
+    if len(sure) == 1 and first.both < first.nats:
+        sure = [replace(_apart(first.quantity, first.nats), probability=sure[0].probability)]
+    return [_of_constant(d) for d in sure]
+
+
+def _of_either(alone: Sequence[Alone], count: int) -> list[Discrepancy]:
+    """State that bias or scale differs, where that is sure though neither is sure beside the other.
+
+    It has the name of the one that fits better. Where they fit alike it is a bias, which is simpler, and that
+    is said.
+    """
+    nats = [one.nats for one in alone]
+    either = float(np.logaddexp.reduce(nats)) - float(np.log(len(nats)))
+    if posterior(either, max(count, 1)) < CERTAIN:
+        return []
+    bias, scale = alone
+    untold = abs(bias.fit - scale.fit) < CERTAIN_NATS
+    first = bias if untold or bias.fit > scale.fit else scale
+    stated = _of_constant(*weighed([_apart(first.quantity, either)], max(count, 1)))
+    if not untold:
+        return [stated]
+    beside = Alternative(scale.quantity.effect, scale.nats, True)
+    return [replace(stated, alternatives=(beside,), note=UNTOLD)]
+
+
+def _apart(quantity: Quantity, nats: float) -> Difference:
+    return replace(subtract(quantity, none_of(quantity)), log_bayes_factor=nats)
 
 
 def _of_constant(difference: Difference) -> Discrepancy:

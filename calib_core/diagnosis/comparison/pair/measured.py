@@ -5,7 +5,7 @@ These constants are nuisances of the search, and are measured with what it found
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,6 +73,43 @@ def measured_in_pair(exam: Examination, residuals: SensorResiduals) -> Sizes:
     return _sizes_at(exam, residuals, fit, _reference(exam, residuals, fit))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Alone:
+    """A constant as it is if the other is alike in both.
+
+    nats: for it; fit: those of how much better it fits than none; both: nats for a difference of the two.
+    """
+
+    quantity: Quantity
+    nats: float
+    fit: float
+    both: float
+
+
+def each_alone(exam: Examination, residuals: SensorResiduals) -> list[Alone]:
+    """Return bias and scale, each as if the other were alike in both.
+
+    In a few attitudes neither is known beside the other, however sure it is that one of them differs. The
+    nats are of the normal model with the priors of the fit (Kass and Raftery, J. Am. Stat. Assoc. 90, 1995).
+    """
+    fit = _fitted(exam, residuals)
+    reference = _reference(exam, residuals, fit)
+    turned = _turned(residuals, fit[0], reference)[:12]
+    sizes = np.concatenate([np.full(3, BIAS[residuals.sensor].size), GAIN_SIZES.ravel()])
+    value, spread = turned @ fit[1] / sizes, turned @ fit[2] @ turned.T / np.outer(sizes, sizes)
+    precision = np.linalg.inv(spread)
+    whole = 0.5 * float(value @ precision @ value - np.linalg.slogdet(precision)[1])
+    out = []
+    for kind, rows in enumerate((slice(0, 3), slice(3, 12))):
+        known, told = precision[rows, rows], precision[rows] @ value
+        alone, covariance = np.zeros(12), np.zeros((12, 12))
+        alone[rows], covariance[rows, rows] = np.linalg.solve(known, told), np.linalg.inv(known)
+        fits = 0.5 * float(told @ alone[rows])
+        stated = _constants_of(residuals, alone * sizes, covariance * np.outer(sizes, sizes), reference, {})
+        out.append(Alone(stated[kind], fits - 0.5 * float(np.linalg.slogdet(known)[1]), fits, whole))
+    return out
+
+
 def none_of(quantity: Quantity) -> Quantity:
     """Return the other sensor's part: nothing, for it is what the one is measured against."""
     k = quantity.value.size
@@ -110,17 +147,10 @@ def _sizes_at(exam: Examination, residuals: SensorResiduals, fit: Fitted, refere
     every, value, covariance = fit
     turned = _turned(residuals, every, reference)
     value, covariance = turned @ value, turned @ covariance @ turned.T
-    where = Where(*residuals.bins.span, SLOW_BAND, "nothing")
-    at = {} if reference.temperature_c is None else {"temperature_c": reference.temperature_c}
-    # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
-    warm = at if residuals.sensor == "accel" else {}
     counted = [_counted(h, reference) for h in every[1:]]
     settling = {SETTLED: float(reference.settled)} if any(SETTLED in h.grid for h in counted) else {}
-    constants = [
-        _bias(residuals.sensor, value, covariance, where, at | settling),
-        _scale(residuals.sensor, value, covariance, where, warm),
-    ]
-    out = []
+    constants = _constants_of(residuals, value, covariance, reference, settling)
+    at, out = _at(reference), []
     findings = [s.finding for s in _found(exam, residuals)]
     for finding, hypothesis, rows in zip(findings, counted, rows_of(every)[1:], strict=True):
         if hypothesis.effect.name != "unknown":
@@ -130,6 +160,28 @@ def _sizes_at(exam: Examination, residuals: SensorResiduals, fit: Fitted, refere
             warm = at if one.effect.endswith("_temperature") else {}
             out.append((finding, replace(one, reference={**one.reference, **warm})))
     return constants, out
+
+
+def _at(reference: Reference) -> dict[str, float]:
+    """Return the temperature that constants are stated at, if there is one."""
+    return {} if reference.temperature_c is None else {"temperature_c": reference.temperature_c}
+
+
+def _constants_of(
+    residuals: SensorResiduals,
+    value: Array,
+    covariance: Array,
+    reference: Reference,
+    settling: dict[str, float],
+) -> list[Quantity]:
+    """Return bias and scale of the first numbers of a fit."""
+    where, at = Where(*residuals.bins.span, SLOW_BAND, "nothing"), _at(reference)
+    # What turns between rests show is not sought, so a gyroscope's scale is one for all temperatures.
+    warm = at if residuals.sensor == "accel" else {}
+    return [
+        _bias(residuals.sensor, value, covariance, where, at | settling),
+        _scale(residuals.sensor, value, covariance, where, warm),
+    ]
 
 
 def _counted(hypothesis: Hypothesis, reference: Reference) -> Hypothesis:
@@ -153,17 +205,16 @@ def _found(exam: Examination, residuals: SensorResiduals) -> list[Stated]:
     return [s for s in exam.statements if s.residuals is residuals and s.hypothesis is not None]
 
 
-def taken_out(exam: Examination, residuals: SensorResiduals, names: set[tuple[str, str]]) -> SensorResiduals:
-    """Return residuals without the effects `names`, without the constants where they are among them."""
+def taken_out(exam: Examination, residuals: SensorResiduals, told: Mapping[Key, Array]) -> SensorResiduals:
+    """Return residuals without the effects that are told, and without as much of the constants as is told."""
     every, value, covariance = _fitted(exam, residuals)
     turned = _turned(residuals, every, _reference(exam, residuals, (every, value, covariance)))
     stated = turned @ value
     for hypothesis, rows in zip(every, rows_of(every), strict=True):
         if hypothesis is every[0]:
-            stated[rows[:3]] *= (f"{residuals.sensor}_bias", residuals.sensor) in names
-            stated[rows[3:]] *= (f"{residuals.sensor}_scale", residuals.sensor) in names
+            stated[rows] = _told_constants(residuals.sensor, told)
         else:
-            stated[rows] *= (hypothesis.effect.name, residuals.sensor) in names
+            stated[rows] *= (hypothesis.effect.name, residuals.sensor) in told
     sizes, views = np.linalg.solve(turned, stated), list(residuals.views)
     for hypothesis, rows in zip(every, rows_of(every), strict=True):
         views = [
@@ -171,6 +222,17 @@ def taken_out(exam: Examination, residuals: SensorResiduals, names: set[tuple[st
             for v, columns in zip(views, hypothesis.columns, strict=True)
         ]
     return replace(residuals, views=tuple(views))
+
+
+def _told_constants(sensor: str, told: Mapping[Key, Array]) -> Array:
+    """Return bias and what the sensor reads of the input, twelve numbers, as told; zero what is not."""
+    bias, scale = (told.get((f"{sensor}_{kind}", sensor)) for kind in ("bias", "scale"))
+    out, one = np.zeros(12), np.eye(3)
+    if bias is not None:
+        out[:3] = bias
+    if scale is not None:
+        out[3:] = (np.linalg.inv(one + scale.reshape(3, 3)) - one).ravel()
+    return out
 
 
 def _fitted(exam: Examination, residuals: SensorResiduals) -> Fitted:
