@@ -187,7 +187,7 @@ def _at_once(sensor: str, scaled: Sequence[Array], where: Where, seen: DirectEvi
     rows = [np.flatnonzero((np.abs(z) > FAR).any(axis=1)) for z in scaled]
     followed = sum(int((np.diff(r) <= RINGS).sum()) for r in rows)
     count = sum(r.size for r in rows)
-    if followed > TOGETHER * count:
+    if followed > TOGETHER * count or _ringing(scaled):
         return None
     several = sum(int(((np.abs(z) > FAR).sum(axis=1) > 1).sum()) for z in scaled)
     share = share_of(float(several), float(sum(len(z) for z in scaled)))
@@ -198,6 +198,25 @@ def _at_once(sensor: str, scaled: Sequence[Array], where: Where, seen: DirectEvi
     own = replace(where, driver=AT_ONCE)
     parameters = {"fraction": share.parameter("1")}
     return direct_finding("unknown", sensor, AXES, own, parameters, statement=say, seen=seen)
+
+
+def _ringing(scaled: Sequence[Array]) -> bool:
+    """Whether the samples beside far ones are louder than others: a knock dies away there.
+
+    A knock whose ring has sunk below `FAR` by the next sample, as at a low rate, looks alone by its
+    size only.
+    """
+    beside, others = [], []
+    for z in scaled:
+        far = (np.abs(z) > FAR).any(axis=1)
+        padded = np.pad(far, RINGS)
+        near = np.any([padded[i : i + far.size] for i in range(2 * RINGS + 1)], axis=0) & ~far
+        beside.append(z[near] ** 2)
+        others.append(z[~near & ~far] ** 2)
+    close, usual = np.concatenate(beside), np.concatenate(others)
+    if not close.size or not usual.size:
+        return False
+    return bool(close.mean() > usual.mean() * (1.0 + CHANCE * np.sqrt(2.0 / close.size)))
 
 
 def unlike_noise(z: Array, step: float = 0.0) -> str:

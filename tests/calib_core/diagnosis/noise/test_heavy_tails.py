@@ -7,7 +7,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.noise.heavy_tails import tails, unlike_noise
+from stillcal.calib_core.diagnosis.noise.heavy_tails import AT_ONCE, tails, unlike_noise
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet
 
 WHERE = Where(0.0, 4000.0, (0.0, 12.5), "noise at rest")
@@ -162,3 +162,17 @@ def test_tails_in_all_rests_are_noise_though_their_levels_differ(seed: int) -> N
     level = np.repeat(rng.uniform(1.0, 1.2, 100), 500)[:, None]
     found = said(level * rng.standard_t(3.5, (50000, 3)))
     assert found is not None and found.effect == "noise_heavy_tailed"
+
+
+@pytest.mark.parametrize("ring", [0.0, 0.1])
+def test_knocks_that_ring_below_what_is_far_are_no_outliers(ring: float) -> None:
+    """Somebody types beside the phone: at 50 Hz a tenth of a blow is left one sample later."""
+    rng = np.random.default_rng(4)
+    values = rng.normal(0.0, 0.01, (50000, 3))
+    struck = np.flatnonzero(rng.random(49990) < 0.002)
+    blows = rng.choice([-1.0, 1.0], (struck.size, 3)) * rng.uniform(0.06, 0.15, (struck.size, 3))
+    values[struck] += blows
+    values[struck + 1] += ring * blows
+    found = said(values)
+    assert (found is None) == (ring > 0.0)
+    assert found is None or found.where.driver == AT_ONCE
