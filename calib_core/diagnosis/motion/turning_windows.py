@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.model.residuals import Baseline
 from stillcal.calib_core.diagnosis.model.rotation_alignment import Aligned
 from stillcal.calib_core.diagnosis.motion.affine_errors import affine_columns
 from stillcal.calib_core.diagnosis.motion.axis_delays import axis_columns
-from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
+from stillcal.calib_core.diagnosis.motion.block_regression import of_arm, slope_power
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum
 from stillcal.calib_core.diagnosis.segments.rests.stillness import runs_of
 from stillcal.calib_core.diagnosis.segments.turns import followed
@@ -157,7 +157,7 @@ def _part_of_motion(arm: Spectrum, t: Array, rate: Array) -> Array:
     interval = _interval(t)
     white = (np.diff(rate, 4, axis=0) ** 2).mean(axis=0) / 70.0
     frequency = np.arange(len(arm)) / (interval * len(t))
-    slope = (np.sin(2.0 * np.pi * frequency * interval) / interval) ** 2
+    slope = slope_power(2.0 * np.pi * frequency * interval) / interval**2
     # Each column has the derivatives of the two other axes.
     noise = (np.hanning(len(t) + 2) ** 2).sum() * slope[:, None] * (white.sum() - white)
     power = np.apply_along_axis(smoothed, 0, (np.abs(arm) ** 2).sum(axis=1))
