@@ -319,6 +319,9 @@ def _values(quantity: Quantity) -> dict[str, Any]:
     value = quantity.value
     if quantity.logarithmic:
         value, low, high = _number(quantity), np.exp(low), np.exp(high)
+    if _may_be_none(quantity):
+        half = NORMAL_95 * quantity.error
+        low, high = np.maximum(value - half, 0.0), value + half
     if quantity.none:
         low = np.zeros_like(low)
     return _by_part(quantity, value, low, high)
@@ -336,7 +339,7 @@ def _difference(difference: Difference) -> dict[str, Any]:
         out = _by_part(recorded, difference.value, difference.value - half, difference.value + half)
         return out | (_against_mean(difference) if recorded.parts[0] == SCALE_BY_AXIS else {})
     one, other = _number(recorded), _number(simulated)
-    half = NORMAL_95 * np.hypot(one * recorded.sigma, other * simulated.sigma)
+    half = NORMAL_95 * np.hypot(_error(recorded), _error(simulated))
     out = _by_part(recorded, one - other, one - other - half, one - other + half)
     if recorded.none or simulated.none or "ratio" in out:
         return out
@@ -358,6 +361,16 @@ def _against_mean(difference: Difference) -> dict[str, Any]:
 def _number(quantity: Quantity) -> Array:
     """Return the numbers whose logarithms were compared; what is as good as nothing is 0."""
     return np.asarray(np.zeros_like(quantity.value) if quantity.none else np.exp(quantity.value))
+
+
+def _may_be_none(quantity: Quantity) -> bool:
+    """Whether a number above 0 may be nothing, whose logarithm is unsure down to that, and not as far up."""
+    return quantity.error > 0.0 and not quantity.none
+
+
+def _error(quantity: Quantity) -> Array:
+    """Return standard errors of the numbers whose logarithms were compared."""
+    return np.asarray(quantity.error if _may_be_none(quantity) else _number(quantity) * quantity.sigma)
 
 
 def _by_part(quantity: Quantity, value: Array, low: Array, high: Array) -> dict[str, Any]:
