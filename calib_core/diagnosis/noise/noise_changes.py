@@ -46,6 +46,10 @@ LEAST_RESTS = 10
 LEAST_BY_FORCE = 0.12
 """Natural logarithm of two levels by which noise must follow the force."""
 
+EITHER_SIDE = 0.5
+"""Part of its bend that may be the slope of a curve that falls to both sides: by a half of its
+bend to one, by three halves to the other."""
+
 MOST_LEVERAGE = 0.5
 """Leverage of a rest above which its own level makes most of what the curve says there."""
 
@@ -94,9 +98,10 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     """Find noise of single axes that follows the force along them, as of a reference that makes it by ratio.
 
     The level of a rest is the mean of its pieces, a parabola of the force against a constant; what shakes the
-    phone differs from rest to rest, and makes the variance that F's law holds the parabola against. A rest of
-    few pieces counts for less. A place where it always lies alike shakes it by more, so pieces must scatter
-    about the parabola as noise does.
+    phone differs from rest to rest, and makes the variance that F's law holds the parabola against. What
+    tilts it to and fro, as a hand does, moves gravity on the axes across it only: no reference does. A rest
+    of few pieces counts for less. A place where it always lies alike shakes it by more, so pieces must
+    scatter about the parabola as noise does.
     """
     own = _bins_of(spectrum, bins)
     rests, which = np.unique(bins.rest[own], return_inverse=True)
@@ -113,6 +118,7 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
         for a in range(3)
         if fits[a].nats > 0.0
         and fits[a].change >= LEAST_BY_FORCE
+        and not _of_tilts(fits[a].curve)
         and _scatter(pieces[:, a] - _parabola(along[:, a]) @ fits[a].curve) < by_chance
     ]
     if not clear:
@@ -128,6 +134,15 @@ def by_force(spectrum: Spectra, measured: Levels, sensor: str, bins: Bins) -> Fi
     return direct_finding(
         "unknown", sensor, clear, where, sized({"ratio": (ratio, "1")}), statement=say, seen=seen
     )
+
+
+def _of_tilts(curve: Array) -> bool:
+    """Whether a parabola (3,) of the force, in units of gravity, falls from none to either side of it.
+
+    A tilt by an angle changes an axis by that times the force across it, so not one along gravity.
+    """
+    _, slope, bend = curve
+    return bool(abs(slope) < -EITHER_SIDE * bend)
 
 
 def _bins_of(spectrum: Spectra, bins: Bins) -> Index:

@@ -122,6 +122,12 @@ def test_noise_of_a_reference_follows_the_force_on_its_own_axis() -> None:
     assert found(noise(4) * any_rest[:, None]) is None
 
 
+def test_a_hand_that_tilts_the_phone_to_and_fro_is_no_reference() -> None:
+    """Gravity moves on the axes across it, so their noise falls with the force along them."""
+    tilts = np.random.default_rng(3).normal(0.0, 5e-4, (T.size, 3))
+    assert found(noise(4) + np.cross(tilts, forces())) is None
+
+
 def test_one_short_rest_far_from_the_others_is_no_parabola_more_often_than_stated() -> None:
     """It has the largest error and the most leverage: 7 % of even noise were beyond odds of 150 to 1."""
     pieces = np.r_[[2, 3, 4, 5] * 8, 1]
