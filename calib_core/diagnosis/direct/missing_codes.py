@@ -2,7 +2,8 @@
 
 On the grid of its steps an axis with a dead bit k leaves out every other run of 2^k codes, over the whole
 range that motion took it through. A sound one that was seen in m such pairs of runs is in one half of each by
-chance, 2^-m.
+chance, 2^-m. At rest few pairs are seen, but where noise takes the axis across such a run from sample to
+sample, each time it might have been in it: noise is no less likely there than on the less likely side.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     sized,
 )
 from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, NAME, Finding, Number, Where
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step
+from stillcal.calib_core.diagnosis.segments.value_grid import step_at_rest
 from stillcal.calib_core.streams.samples import Samples
 
 BITS = 14
@@ -29,6 +30,10 @@ SPOILED = ("noise_heavy_tailed", "noise_unequal_axes", "accel_quantisation", "gy
 ON_GRID = 0.25
 """Steps that a value may be off the grid."""
 
+DITHERED = 0.5
+"""Part of the crossings of samples that know nothing of each other, from which on noise makes them: a bias
+that jumps, or a phone that is turned, crosses rarely."""
+
 
 def dead_bits(samples: Samples, sensor: str) -> Finding | None:
     """Find axes of which one bit never changes."""
@@ -36,30 +41,34 @@ def dead_bits(samples: Samples, sensor: str) -> Finding | None:
     if not found:
         return None
     axes = list(found)
-    told = ", ".join(f"{bit} of {AXES[a]}" for a, (bit, _) in found.items())
+    told = ", ".join(f"{bit} of {AXES[a]}" for a, (bit, _, _) in found.items())
     say = f"One bit of the {NAME[sensor]}'s values never changes ({told}), so half of the values never occur."
-    pairs = float(min(pairs for _, pairs in found.values()))
+    pairs = float(min(pairs for _, pairs, _ in found.values()))
     where = Where(float(samples.t[0]), float(samples.t[-1]), (0.0, 0.0), "values")
-    bits: Number = [float(bit) for bit, _ in found.values()]
+    bits: Number = [float(bit) for bit, _, _ in found.values()]
     sizes = sized({"bit": (bits, "1"), "pairs": (pairs, "1")})
-    seen = DirectEvidence(max(_nats(bit, pairs) for bit, pairs in found.values()))
+    seen = DirectEvidence(max(_nats(bit, chances) for bit, _, chances in found.values()))
     return direct_finding("missing_codes", sensor, axes, where, sizes, statement=say, seen=seen)
 
 
-def _nats(bit: int, pairs: int) -> float:
+def _nats(bit: int, chances: int) -> float:
     """Return the evidence for a dead bit: of each pair of runs a sound axis shows one by chance 1/2.
+
+    chances: how many pairs and crossings were seen.
 
     Both halves, three axes, `BITS` bits and every place where a run may begin were tried.
     """
-    return of_chance(-pairs * float(np.log(2.0)), 6.0 * BITS * 2.0 * 2.0**bit)
+    return of_chance(-chances * float(np.log(2.0)), 6.0 * BITS * 2.0 * 2.0**bit)
 
 
-def _dead_bit(values: Array) -> tuple[int, int] | None:
-    """Return the bit of values (n,) that never changes and in how many pairs of runs; None where all do.
+def _dead_bit(values: Array) -> tuple[int, int, int] | None:
+    """Return the bit of values (n,) that never changes, in how many pairs of runs, and by how many chances.
+
+    None where all bits change. The chances are pairs, and crossings of a run that is left out.
 
     The lowest bit is not among them: without it the step is twice as large.
     """
-    step = comb_step(values)
+    step = step_at_rest(values)
     if step is None:
         return None
     away = (values - float(np.median(values))) / step
@@ -71,10 +80,29 @@ def _dead_bit(values: Array) -> tuple[int, int] | None:
         start = _half(codes, run)
         if start is None:
             continue
-        pairs = int(np.unique((codes - start) // (2 * run)).size)
-        if DirectEvidence(_nats(bit, pairs)).stated:
-            return bit, pairs
+        side = (np.rint(away).astype(np.int64) - start) // (2 * run)
+        seen = (codes - start) // (2 * run)
+        pairs = int(np.unique(seen).size)
+        chances = pairs + _crossed(side, seen)
+        if DirectEvidence(_nats(bit, chances)).stated:
+            return bit, pairs, chances
     return None
+
+
+def _crossed(side: Index, seen: Index) -> int:
+    """Return how often noise took an axis across a run that it might have been in.
+
+    side: (n,) which pair of runs each sample lies in; seen: (m,) the same of each code that occurs. Half of
+    the crossings go to the less likely side. None where it crosses rarely, nor where one of the two usual
+    sides is a single code: that may be what a dead zone makes of all in it.
+    """
+    places, count = np.unique(side, return_counts=True)
+    usual = places[np.argsort(count)[-2:]]
+    if usual.size < 2 or min(int(np.count_nonzero(seen == place)) for place in usual) < 2:
+        return 0
+    share = count / side.size
+    crossings = int(np.count_nonzero(np.diff(side)))
+    return crossings // 2 if crossings > DITHERED * (1.0 - float((share**2).sum())) * side.size else 0
 
 
 def _half(codes: Index, run: int) -> int | None:

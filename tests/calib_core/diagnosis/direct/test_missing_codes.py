@@ -50,6 +50,28 @@ def test_what_hardly_moves_shows_no_bit() -> None:
     assert said((codes & ~8) * STEP) is None
 
 
+@pytest.mark.parametrize("spread", [0.8, 2.0])
+def test_noise_at_rest_that_never_is_between_two_runs_shows_a_dead_bit(spread: float) -> None:
+    """A phone lies flat: two or three runs of two codes are seen, in 4000 samples."""
+    codes = np.rint(np.random.default_rng(3).normal(1.6, spread, (4000, 3))).astype(int)
+    assert said(codes * STEP) is None
+    codes[:, 1] &= ~2
+    found = said(codes * STEP + 0.01)
+    assert found is not None and found.axes == ["y"] and found.parameters["bit"].value == [1.0]
+
+
+def test_a_bias_that_jumps_to_and_fro_shows_no_bit() -> None:
+    """It jumps by four codes, forty times."""
+    noise = np.rint(np.random.default_rng(3).normal(0.5, 0.2, (4000, 3))).astype(int).clip(0, 1)
+    jumps = 4 * (np.arange(4000) // 100 % 2)
+    assert said((noise + jumps[:, None]) * STEP) is None
+
+
+def test_a_dead_zone_that_noise_leaves_to_one_side_is_no_bit() -> None:
+    codes = np.rint(np.random.default_rng(3).normal(4.0, 1.2, (4000, 3))).astype(int).clip(0, 8)
+    assert said(np.where(codes < 5, 0, codes) * STEP) is None
+
+
 def test_noise_of_an_axis_with_a_dead_bit_is_not_judged() -> None:
     def heavy(axes: list[int], effect: str = "noise_heavy_tailed") -> Finding | None:
         where, seen = Where(0.0, 1.0, (0.0, 1.0), "noise at rest"), DirectEvidence(99.0)
