@@ -501,3 +501,16 @@ def test_at_one_attitude_what_differs_all_along_is_told_with_what_it_may_be(effe
     text = "\n".join(summary(said))
     assert "cannot tell it from" in text and "Rests in more attitudes decide it" in text
     assert judge_paired(lying(1, np.zeros(3)), lying(2, np.zeros(3))).answer["verdict"] == "match"
+
+
+def test_a_bias_within_what_is_alike_anyway_is_none_at_one_attitude() -> None:
+    """0.0135 % of scale were told beside a slope of temperature that made them."""
+    rng, t = np.random.default_rng(1), np.arange(0.0, 200.0, 0.02)
+
+    def lying(error: float) -> Recording:
+        force = np.array([-6.0, 1.0, 7.7 + error]) + 0.002 * rng.normal(size=(t.size, 3))
+        accel = Samples(Sensor.ACCELEROMETER, frozen(t), frozen(force))
+        gyro = Samples(Sensor.GYROSCOPE, frozen(t), frozen(1e-3 * rng.normal(size=(t.size, 3))))
+        return Recording(accel, gyro, [], Claims(), [], name=f"{error}.csv")
+
+    assert judge_paired(lying(5e-4), lying(0.0)).answer["verdict"] == "match"

@@ -96,8 +96,9 @@ def each_alone(exam: Examination, residuals: SensorResiduals) -> list[Alone]:
     reference = _reference(exam, residuals, fit)
     turned = _turned(residuals, fit[0], reference)[:12]
     sizes = np.concatenate([np.full(3, BIAS[residuals.sensor].size), GAIN_SIZES.ravel()])
+    alike = np.concatenate([np.full(3, ALIKE_BIAS[residuals.sensor]), np.full(9, ALIKE_SCALE)])
     value, spread = turned @ fit[1] / sizes, turned @ fit[2] @ turned.T / np.outer(sizes, sizes)
-    precision = np.linalg.inv(spread)
+    precision = np.linalg.inv(spread + np.diag((alike / sizes) ** 2))
     whole = 0.5 * float(value @ precision @ value - np.linalg.slogdet(precision)[1])
     out = []
     for kind, rows in enumerate((slice(0, 3), slice(3, 12))):
