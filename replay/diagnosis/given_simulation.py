@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.axes import Exchange, exchange_of
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import columns_over, course_over
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
+from stillcal.calib_core.diagnosis.comparison.pair.response import IN_MOTION
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
@@ -183,8 +184,11 @@ def _warmed(simulation: Recording, recorded: Bins) -> Recording:
 
 
 def of_other_values(discrepancies: Sequence[Discrepancy], made: Corrected) -> set[str]:
-    """Return the sensors whose noise or single values were changed on purpose."""
-    put_in = (d for d in discrepancies if d.effect not in made.left_out)
+    """Return the sensors whose noise or single values were changed on purpose.
+
+    A low-pass that motion shows, and noise does not, has the noise behind it.
+    """
+    put_in = (d for d in discrepancies if d.effect not in made.left_out and d.where.driver != IN_MOTION)
     return {d.sensor for d in put_in if d.effect.endswith(ON_VALUES)}
 
 

@@ -31,6 +31,7 @@ from stillcal.calib_core.diagnosis.comparison.lines_of_both import (
     with_lines_heard,
 )
 from stillcal.calib_core.diagnosis.comparison.noise import white_noise
+from stillcal.calib_core.diagnosis.comparison.pair.response import with_low_passes_in_motion
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
     Key,
@@ -51,11 +52,11 @@ Reasons = Mapping[Key, str | None]
 def compare_samples(
     exams: tuple[Examination, Examination], names: tuple[str, str], beside: int = 0
 ) -> Comparison:
-    """Compare the values and the noise at rest of a recording and a simulation with the same stamps.
+    """Compare values, noise at rest and low-passes of a recording and a simulation of one motion and stamps.
 
     beside: how many effects are compared besides, with which these share their prior odds.
     """
-    more = white_noise.of_both(exams)
+    more = with_low_passes_in_motion(white_noise.of_both(exams), exams)
     every = [_shares(exam) | noise for exam, noise in zip(exams, more, strict=True)]
     sides = white_noise.without_repeated(every)
     levels = [(white_noise.LEVEL, stream.sensor) for stream in exams[0].streams]

@@ -230,21 +230,31 @@ def _low_pass(stream: Stream, axes: tuple[int, ...]) -> Quantity | None:
         return None
     found = spectra.low_pass
     own = found if found is not None and set(axes) <= set(found.axes) else None
-    cutoff = relative_cutoff(replace(spectra, low_pass=own))
+    relative = relative_cutoff(replace(spectra, low_pass=own))
+    where = Where(*stream.span, (0.0, spectra.rate / 2.0), AT_REST)
+    cutoff = Measured(relative.value + float(np.log(spectra.rate)), relative.error)
+    order = None if own is None else own.order
+    return cutoff_quantity(stream.sensor, where, cutoff, order, axes if of_some_axes(axes) else ())
+
+
+def cutoff_quantity(
+    sensor: str, where: Where, cutoff: Measured, order: int | None, axes: tuple[int, ...] = ()
+) -> Quantity:
+    """Return a low-pass to be compared. cutoff: logarithm of Hz; order: None for no low-pass at all."""
     return Quantity(
         LOW_PASS,
-        stream.sensor,
+        sensor,
         (Part("cutoff", "Hz", 1),),
-        np.array([cutoff.value + np.log(spectra.rate)]),
+        np.array([cutoff.value]),
         np.array([[cutoff.error**2]]),
         np.array([TIMES]),
         np.array([ALIKE_CUTOFF]),
         np.array([-1]),
         logarithmic=True,
-        reference={} if own is None else {"order": own.order},
-        where=Where(*stream.span, (0.0, spectra.rate / 2.0), AT_REST),
-        none=own is None,
-        axes=axes if of_some_axes(axes) else (),
+        reference={} if order is None else {"order": order},
+        where=where,
+        none=order is None,
+        axes=axes,
     )
 
 
