@@ -61,7 +61,8 @@ class Stream:
     looked for where the lines were known; raw: the same rests with the outliers; silent: whether its noise is
     not its own, but was added to a sensor without any (then there are no levels); hidden: whether a dead zone
     takes what it reads at rest (then there are neither spectra nor levels); passing: those of the lines that
-    are of what the device lay on for a while.
+    are of what the device lay on for a while; shaken: whether another sensor is shaken at rest, by more than
+    any sensor's noise, and this one with it.
     """
 
     sensor: str
@@ -78,6 +79,7 @@ class Stream:
     silent: bool = False
     hidden: bool = False
     passing: tuple[Finding, ...] = ()
+    shaken: bool = False
 
     @classmethod
     def of(cls, sensor: str, samples: Samples, bins: Bins, lines: list[Finding] | None = None) -> Stream:
@@ -163,7 +165,7 @@ class Stream:
 
         None where its noise does not tell: where it is hidden, or what shakes the phone is in that band.
         """
-        if self.spectra is None or self.levels is None or self.levels.loud or self.silent:
+        if self.spectra is None or self.levels is None or self.levels.loud or self.silent or self.shaken:
             return None
         if self.steps.blurs_level() or self.repeats_many:
             return None
@@ -219,11 +221,14 @@ def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhone
     factor = noise.convention(levels, claims)
     for stream in streams:
         if len(stream.samples) >= LEAST_SAMPLES:
-            found += _of_stream(stream, claims, factor, sound)
+            others = [s for s in streams if s is not stream]
+            found += _of_stream(stream, others, claims, factor, sound)
     return _without_echoes(found)
 
 
-def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding]:
+def _of_stream(
+    stream: Stream, others: Sequence[Stream], claims: Claims, factor: float, sound: SoundPhones
+) -> list[Finding]:
     """Return what one sensor's samples show; factor: between the claims' densities and one-sided ones."""
     sensor, samples = stream.sensor, stream.samples
     lsb, declared = (
@@ -236,13 +241,15 @@ def _of_stream(stream: Stream, claims: Claims, factor: float, sound: SoundPhones
     if not stream.steps.hides_noise():
         found += [*(f for f in stream.lines if not stream.is_passing(f)), stream.period]
         if share < repeats.MANY:
-            found += _at_rest(stream, claims, factor, sound)
+            found += _at_rest(stream, others, claims, factor, sound)
     known = without_parts([f for f in found if f is not None])
     known = missing_codes.beside(known, missing_codes.dead_bits(samples, sensor))
     return dead_zone.beside(known, dead_zone.dead_zone(samples, sensor))
 
 
-def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) -> list[Finding | None]:
+def _at_rest(
+    stream: Stream, others: Sequence[Stream], claims: Claims, factor: float, sound: SoundPhones
+) -> list[Finding | None]:
     """Return what the noise at rest shows."""
     if stream.spectra is None or stream.levels is None:
         return []
@@ -273,13 +280,25 @@ def _at_rest(stream: Stream, claims: Claims, factor: float, sound: SoundPhones) 
             shared = shared_noise_finding(alike, sensor, usual(sound, "noise_shared", claim), where)
             found.append(shared)
             own = own if shared is None else own.less(alike.coefficient.value)
-        found += noise.noise_findings(sensor, own, claim, sound, where)
-        if (colour := stream.coloured()) is not None:
-            found.append(coloured_noise_finding(colour, sensor, sound["noise_coloured"], where))
+        found += [] if stream.shaken else noise.noise_findings(sensor, own, claim, sound, where)
+        colour, usual_band = stream.coloured(), sound["noise_coloured"]
+        if colour is not None and not any(_has_too(s, colour, usual_band) for s in others):
+            found.append(coloured_noise_finding(colour, sensor, usual_band, where))
     if not any(f is not None and halves.quantities_of(f) for f in found):
         return found
     parts = [half.measured() for half in stream.halves()]
     return [f for f in found if f is None or halves.borne_out(f, parts, sound, claim)]
+
+
+def _has_too(other: Stream, found: Coloured, sound: Usual) -> bool:
+    """Whether another sensor has more, or less, in a band as well, and more so than any sound phone.
+
+    What shakes the phone moves both; the noise of one sensor is not in the other.
+    """
+    band = None if other.spectra is None else in_band(other.spectra, found.band)
+    if band is None or band.size().value <= sound.highest:
+        return False
+    return bool(np.sign(band.log_ratio.value) == np.sign(found.log_ratio.value))
 
 
 def _reaches(line: Finding, band: tuple[float, float]) -> bool:
@@ -308,7 +327,8 @@ def _without_echoes(found: list[Finding]) -> list[Finding]:
 def agreed(streams: Sequence[Stream]) -> list[Stream]:
     """Return streams that agree on what the device lay on: a vibration is there while either sensor shows it.
 
-    The other one may show only its loudest part.
+    The other one may show only its loudest part. What shakes one, by more than any sensor's noise, shakes the
+    others.
     """
     lines = [(f, s.is_passing(f)) for s in streams for f in s.lines]
 
@@ -320,7 +340,15 @@ def agreed(streams: Sequence[Stream]) -> list[Stream]:
         ]
         return max(same)[1]
 
-    return [replace(s, passing=tuple(f for f in s.lines if passes(f))) for s in streams]
+    shaken = [s for s in streams if s.levels is not None and s.levels.loud and not s.levels.alike]
+    return [
+        replace(
+            s,
+            passing=tuple(f for f in s.lines if passes(f)),
+            shaken=any(one is not s for one in shaken),
+        )
+        for s in streams
+    ]
 
 
 def of_one_vibration(one: Finding, other: Finding) -> bool:

@@ -45,6 +45,7 @@ BENEATH_STEPS = float(np.log(1.5))
 half as much again is seen of it, or less, by where between two steps the values lie."""
 
 NONE_AT_ALL = "it has no noise at all"
+SHAKEN = "what shakes its other sensor at rest shakes this one too"
 HIDDEN = "a dead zone hides what it reads at rest"
 BLURRED = "its values come in steps larger than the noise"
 UNSTEADY = "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
@@ -77,7 +78,7 @@ def density(stream: Stream) -> Quantity | None:
     Beneath steps larger than it, it is known roughly (`BENEATH_STEPS`): rests differ by where between two
     steps they lie.
     """
-    if stream.hidden:
+    if stream.hidden or stream.shaken:
         return None
     if stream.silent:
         return _density(stream, np.full(3, SILENT))
@@ -308,6 +309,7 @@ def why_no_density(stream: Stream) -> str:
     reasons = (
         (stream.hidden, HIDDEN),
         (stream.silent, NONE_AT_ALL),
+        (stream.shaken, SHAKEN),
         (stream.repeats_many, REPEATED),
         (levels is not None and stream.steps.blurs_level(), BLURRED),
         (levels is not None and not levels.white, "its noise at rest is not white over most of the band"),

@@ -11,10 +11,11 @@ from scipy.signal import butter, cheby1, lfilter, sosfilt
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.direct import band_of_other, why_no_band
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import SHAKEN, density, why_no_density
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct.halves import quantities_of
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.noise.coloured_noise import (
     DRIVER,
@@ -25,6 +26,7 @@ from stillcal.calib_core.diagnosis.noise.coloured_noise import (
     is_end_of_wander,
 )
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, Spectra, judged
+from stillcal.calib_core.diagnosis.stream import direct_findings
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
@@ -230,3 +232,45 @@ def test_more_at_the_lowest_frequencies_alone_may_be_the_end_of_a_wander() -> No
     for spectrum, end in ((falling, True), (resonant, False), (less, False)):
         found = told(coloured_noise(spectrum))
         assert found is not None and is_end_of_wander(found, spectrum) == end
+
+
+def held(accel_gain: float, gyro_gain: float, gyro_noise: float) -> Examination:
+    """Return five minutes at rest; each sensor's noise has a band with (1 + gain)^2 times the power.
+
+    gyro_noise: rad/s a sample.
+    """
+    white = np.random.default_rng(9).normal(size=(2, 30_000, 3))
+    t = np.arange(white.shape[1]) / RATE
+    force = np.array([0.0, 0.0, 9.80665]) + 0.02 * resonating(white[0], accel_gain)
+    rate = gyro_noise * resonating(white[1], gyro_gain)
+    kinds = (Sensor.ACCELEROMETER, force), (Sensor.GYROSCOPE, rate)
+    return examine(*(Samples(kind, frozen(t), frozen(xyz)) for kind, xyz in kinds), sought=())
+
+
+def bands(exam: Examination) -> set[str]:
+    return {s.finding.sensor for s in exam.statements if s.finding.where.driver == DRIVER}
+
+
+def test_what_both_sensors_have_in_a_band_shakes_the_phone() -> None:
+    """A hand and an idling vehicle were told as noise of one sensor that is not white."""
+    assert bands(held(3.0, 0.0, 1e-3)) == {"accel"}
+    assert bands(held(3.0, -0.8, 1e-3)) == {"accel", "gyro"}
+    assert bands(held(3.0, 3.0, 1e-3)) == set()
+
+
+def test_beside_a_gyroscope_that_is_shaken_an_accelerometer_s_noise_is_not_its_own() -> None:
+    """Its level, of a hand, was twice what the datasheet says."""
+    exam = held(0.0, 12.0, 0.03)
+    accel, gyro = exam.streams
+    assert gyro.levels is not None and gyro.levels.loud and not gyro.levels.alike
+    assert accel.shaken and not gyro.shaken
+    assert density(accel) is None and why_no_density(accel) == SHAKEN
+    quiet = held(0.0, 12.0, 1e-3).streams[0]
+    assert not quiet.shaken and density(quiet) is not None
+    white = held(0.0, 0.0, 0.05)
+    assert white.streams[1].levels is not None and white.streams[1].levels.loud
+    assert not white.streams[0].shaken
+    claims = Claims(accel_noise_density=0.01 / np.sqrt(RATE / 2.0))
+    for made, told_of in ((exam, set[str]()), (white, {"accel"})):
+        found = direct_findings(made.streams, claims, sound_phones())
+        assert {f.sensor for f in found if f.effect == "noise_level" and f.sensor == "accel"} == told_of
