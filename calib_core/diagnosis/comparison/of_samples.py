@@ -9,7 +9,7 @@ import numpy as np
 
 from stillcal.calib_core.diagnosis.comparison import sample_rate
 from stillcal.calib_core.diagnosis.comparison.coverage import not_logged
-from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, direct_checks, obstacle
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import obstacle
 from stillcal.calib_core.diagnosis.comparison.coverage.not_logged import NotLogged
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import shows_as_large
 from stillcal.calib_core.diagnosis.comparison.direct import (
@@ -19,7 +19,6 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     direct_statements,
     partner,
     quantities_of,
-    stamp_quantities,
     step_of_other,
     why_not_shown,
 )
@@ -30,77 +29,19 @@ from stillcal.calib_core.diagnosis.comparison.lines_of_both import (
     unlike,
     with_lines_heard,
 )
-from stillcal.calib_core.diagnosis.comparison.noise import white_noise
-from stillcal.calib_core.diagnosis.comparison.pair.response import with_low_passes_in_motion
 from stillcal.calib_core.diagnosis.comparison.quantity import (
     Difference,
     Key,
-    Quantity,
     subtract,
-    weighed,
 )
-from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
-from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
+from stillcal.calib_core.diagnosis.comparison.records import NotCompared
+from stillcal.calib_core.diagnosis.comparison.stated import Sole
 from stillcal.calib_core.diagnosis.comparison.without_name import by_its_driver, is_course, may_be_had
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
 
 Reasons = Mapping[Key, str | None]
 """Why an effect was not looked for; None where it was."""
-
-
-def compare_samples(
-    exams: tuple[Examination, Examination], names: tuple[str, str], beside: int = 0
-) -> Comparison:
-    """Compare values, noise at rest and low-passes of a recording and a simulation of one motion and stamps.
-
-    beside: how many effects are compared besides, with which these share their prior odds.
-    """
-    more = with_low_passes_in_motion(white_noise.of_both(exams), exams)
-    every = [_shares(exam) | noise for exam, noise in zip(exams, more, strict=True)]
-    sides = white_noise.without_repeated(every)
-    levels = [(white_noise.LEVEL, stream.sensor) for stream in exams[0].streams]
-    keys = list(dict.fromkeys([*levels, *sides[0], *sides[1]]))
-    both = [key for key in keys if all(key in side for side in sides)]
-    reasons = [_reasons(exam) for exam in exams]
-    pairs = [subtract(sides[0][key], sides[1][key]) for key in both]
-    shown, alone, missing = differences_of_samples(exams, reasons, names, ((), ()))
-    pairs += [d for d in shown if _is_compared(key_of(d))]
-    alone = [one for one in alone if _is_compared((one[0].effect, one[0].sensor))]
-    missing = [n for n in missing if _is_compared((n.effect, n.sensor))]
-    missing += [_missing(key, sides, exams, names) for key in keys if key not in both]
-    neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
-    count = len(pairs) + len(alone) + len(neither)
-    among = max(count + beside, 1)
-    pairs = weighed(pairs, among)
-    return concluded(pairs, alone, [*missing, *not_both], names, among=among, checks=count)
-
-
-def _is_compared(key: Key) -> bool:
-    """Whether an effect can differ where motion and stamps are the same and motion is judged by itself."""
-    return key[1] != "timing" and key not in MOTION
-
-
-def _reasons(exam: Examination) -> Reasons:
-    checks = {(c.effect, c.sensor): c.reason for c in direct_checks(exam)}
-    return {key: why for key, why in checks.items() if _is_compared(key)}
-
-
-def _shares(exam: Examination) -> dict[Key, Quantity]:
-    """Return what one recording's values show: the share of them that repeat the one before."""
-    return {key: one for key, one in stamp_quantities(exam).items() if _is_compared(key)}
-
-
-def _missing(
-    key: Key, sides: Sequence[Mapping[Key, Quantity]], exams: Sequence[Examination], names: Sequence[str]
-) -> NotCompared:
-    """Say why a quantity is not compared that one of the two does not show."""
-    whys = []
-    for side, exam, name in zip(sides, exams, names, strict=True):
-        if key not in side:
-            why = [white_noise.why_not_measured(key[0], s) for s in exam.streams if s.sensor == key[1]]
-            whys.append(f"{name}: {why[0] if why else 'no such sensor'}")
-    return NotCompared(*key, "; ".join(whys))
 
 
 def differences_of_samples(

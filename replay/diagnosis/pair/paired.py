@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,21 +11,23 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.axes import exchange_of
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import slow_effects
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS
-from stillcal.calib_core.diagnosis.comparison.of_samples import compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, KnownBefore, align
 from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     compare_in_pair,
     without_equation,
     without_found,
 )
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, LINE
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
+from stillcal.calib_core.diagnosis.comparison.pair.samples import compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.stands import (
     with_own_of_simulation,
     with_owner_of_unknown,
 )
-from stillcal.calib_core.diagnosis.comparison.records import Comparison
+from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import correct, with_echoes
 from stillcal.replay.diagnosis.given_simulation import (
@@ -154,21 +156,37 @@ def _corrected(
     recorded, simulated = pair.exams
     moved = {(s.finding.effect, s.finding.sensor) for s in motion.found}
     in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
-    played = [*with_echoes(pair.simulation, pair.values.discrepancies, pair.values.compared), *in_motion]
+    # Vibrations that motion shows are taken off the difference: nobody knows their phase.
+    lines = [d for d in pair.values.discrepancies if d.effect == LINE and d.where.driver == IN_MOTION]
+    others = [d for d in pair.values.discrepancies if all(d is not one for one in lines)]
+    played = [*with_echoes(pair.simulation, others, pair.values.compared), *in_motion]
     made = correct(pair.simulation, played, {})
     own, other = without_held_rows(pair.recording, made.recording)
     left = align(readings_of(own), readings_of(other), known)
     after = without_found(exam, slow, left.found, left)
     measured = examined(made.recording, silent, sought=())
     measured = with_own_values(measured, simulated, of_other_values(played, made))
-    after = after.and_of(_values_of((recorded, measured), pair.names))
+    after = after.and_of(_values_of((recorded, measured), pair.names, _frequencies(lines)))
     out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
     return after, [*out, *made.left_out]
 
 
-def _values_of(exams: tuple[Examination, Examination], names: tuple[str, str]) -> Comparison:
+def _values_of(
+    exams: tuple[Examination, Examination],
+    names: tuple[str, str],
+    lines: Mapping[str, Sequence[float]] | None = None,
+) -> Comparison:
     """Compare what single samples and the noise at rest show, beside the slow effects that are looked for."""
-    return compare_samples(exams, names, len(list(slow_effects(exams[0]))))
+    return compare_samples(exams, names, len(list(slow_effects(exams[0]))), lines)
+
+
+def _frequencies(lines: Sequence[Discrepancy]) -> dict[str, list[float]]:
+    """Return the frequencies, Hz, of vibrations by sensor."""
+    out: dict[str, list[float]] = {}
+    for own, sensor in ((d.recorded or d.simulated, d.sensor) for d in lines):
+        assert own is not None, "one of the two alone has it"
+        out.setdefault(sensor, []).append(middle_hz(own))
+    return out
 
 
 def rounding(exams: Sequence[Examination]) -> dict[str, Array]:

@@ -514,3 +514,16 @@ def test_a_bias_within_what_is_alike_anyway_is_none_at_one_attitude() -> None:
         return Recording(accel, gyro, [], Claims(), [], name=f"{error}.csv")
 
     assert judge_paired(lying(5e-4), lying(0.0)).answer["verdict"] == "match"
+
+
+@pytest.mark.slow
+def test_a_vibration_is_told_of_a_pair_that_is_never_still_and_taken_off_the_difference() -> None:
+    real, simulated = recording(1), recording(2, name="sim.csv")
+    t = real.accelerometer.t
+    shaken = real.accelerometer.xyz + np.outer(np.sin(2.0 * np.pi * 6.3 * t), [0.0, 0.05, 0.0])
+    real = replace(real, accelerometer=replace(real.accelerometer, xyz=frozen(shaken)))
+    for pair, relation in (((real, simulated), "lacking"), ((simulated, real), "superfluous")):
+        said = judge_paired(*pair).answer
+        (found,) = said["findings"]
+        assert (found["effect"], found["relation"]) == ("vibration_tone", relation)
+        assert said["fit"]["p_before"] < 1e-6 and said["fit"]["p_after"] > 0.01

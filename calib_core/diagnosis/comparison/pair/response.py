@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, cutoff_quantity
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, shared_streams
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, subtract
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
@@ -25,9 +26,6 @@ from stillcal.calib_core.diagnosis.noise.filter_kinds import kinds_of
 from stillcal.calib_core.diagnosis.noise.low_pass import SHARED
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
-
-IN_MOTION = "motion"
-"""Driver of what motion shows of a low-pass."""
 
 WINDOW, EVEN = 256, 0.05
 """Samples of a stretch, and the part of its length by which it may be longer than these take."""
@@ -108,18 +106,9 @@ def _by_noise(known: Sequence[Quantity | None]) -> bool:
 
 
 def _shared(exams: tuple[Examination, Examination]) -> list[tuple[str, Samples, Samples]]:
-    """Return the samples of each sensor that both have as many of, and read at every one of them."""
-    one, other = exams
+    """Return the samples of each sensor that both have, and hold at none of them."""
     held = {s.sensor for exam in exams for s in exam.streams if s.repeats_many}
-    both = (
-        ("accel", one.accelerometer, other.accelerometer),
-        ("gyro", one.gyroscope, other.gyroscope),
-    )
-    return [
-        (sensor, a, b)
-        for sensor, a, b in both
-        if a is not None and b is not None and len(a) == len(b) and sensor not in held
-    ]
+    return [one for one in shared_streams(exams) if one[0] not in held]
 
 
 def low_pass_in_motion(first: Samples, second: Samples) -> Followed | None:

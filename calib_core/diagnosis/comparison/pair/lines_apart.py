@@ -1,0 +1,100 @@
+"""Vibrations of two recordings of one motion: those of the motion itself are alike in both.
+
+What the one reads less the other holds no motion. So it tells a vibration of one of the two where neither has
+rests to show it, and that a vibration which one of them alone seems to have shakes both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.stated import Sole
+from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz, reach_hz
+from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
+from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
+from stillcal.calib_core.maths.sines import without_vibrations
+from stillcal.calib_core.streams.samples import Samples
+
+IN_MOTION = "motion"
+"""Driver of what two recordings of one motion show against each other."""
+
+LINE = "vibration_tone"
+
+NOTHING = 1e-9
+"""Part of the largest reading that is as good as none: rounding of double precision leaves less."""
+
+STRETCH = 5.0
+"""s of the stretches in which a vibration's power is compared."""
+
+OWN, AROUND = 2, 8
+"""Frequencies on either side of a line that have its power, and that have none of it."""
+
+SHARED = 0.25
+"""Part of a vibration's power below which what one reads less the other has none of it: half of its size."""
+
+
+def shared_streams(exams: tuple[Examination, Examination]) -> list[tuple[str, Samples, Samples]]:
+    """Return the samples of each sensor that both have as many of."""
+    one, other = exams
+    both = (("accel", one.accelerometer, other.accelerometer), ("gyro", one.gyroscope, other.gyroscope))
+    return [(s, a, b) for s, a, b in both if a is not None and b is not None and len(a) == len(b)]
+
+
+def shakes_both(line: Finding, exams: tuple[Examination, Examination]) -> bool:
+    """Whether a vibration that one of the two is told to have is one of the motion that both read."""
+    for sensor, first, second in shared_streams(exams):
+        if sensor == line.sensor:
+            apart = _power(line, first, _less(first, second))
+            return apart < SHARED * min(_power(line, first, one.xyz) for one in (first, second))
+    return False
+
+
+def of_the_difference(
+    exams: tuple[Examination, Examination], sensor: str, known: Sequence[float]
+) -> list[Sole] | None:
+    """Return the steady vibrations of a sensor in what one reads less the other, with whose they are.
+
+    known: Hz, of those that are taken off before. None where they cannot be told.
+    """
+    for own, first, second in shared_streams(exams):
+        apart = _less(first, second)
+        if own != sensor or not (apart.std(axis=0) > NOTHING * np.abs(first.xyz).max()).all():
+            continue
+        left = replace(first, xyz=frozen(without_vibrations(apart, first.t, known)))
+        rests = AtRest.of(left, sensor)
+        if rests.coherent is None:
+            return None
+        found = [line for line in tones(left, sensor, rests) if line.effect == LINE]
+        whose = [_power(line, first, first.xyz) > _power(line, first, second.xyz) for line in found]
+        where = [replace(line.where, driver=IN_MOTION) for line in found]
+        return [(replace(line, where=w), bool(o)) for line, w, o in zip(found, where, whose, strict=True)]
+    return None
+
+
+def _less(first: Samples, second: Samples) -> Array:
+    """Return what one sensor reads less what the other does, with the bias and the scale that fit best."""
+    columns = np.column_stack([np.ones(len(second)), second.xyz])
+    return np.asarray(first.xyz - columns @ np.linalg.lstsq(columns, first.xyz, rcond=None)[0])
+
+
+def _power(line: Finding, samples: Samples, xyz: Array) -> float:
+    """Return the power of a line, while it lasts, above what is about it. xyz: (n, 3), at the stamps."""
+    period = sample_period(samples.t)
+    rows = (samples.t >= line.where.t_start) & (samples.t <= line.where.t_end)
+    size = min(round(STRETCH / period), int(rows.sum()))
+    if size <= 2 * AROUND:
+        return 0.0
+    cut = xyz[rows][: rows.sum() // size * size].reshape(-1, size, 3)
+    power = (
+        np.abs(np.fft.rfft((cut - cut.mean(axis=1, keepdims=True)) * np.hanning(size)[:, None], axis=1)) ** 2
+    )
+    whole, f = power.sum(axis=(0, 2)), np.fft.rfftfreq(size, period)
+    away = np.abs(f - middle_hz(line)) - reach_hz(line)
+    own, about = away < OWN * f[1], (away >= OWN * f[1]) & (away < AROUND * f[1])
+    return float((whole[own] - whole[about].mean()).sum()) if own.any() and about.any() else 0.0
