@@ -45,6 +45,9 @@ MANY = 40
 PERSISTENT = 3.0
 """Ratio above which windows follow one another for a motion's sake: a gyroscope that walks far comes to 2."""
 
+TURNED = 0.5
+"""Part of what a gyroscope reads within a rest, from which it is the device that turns and not its noise."""
+
 NEAR_BINS = 5
 """Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
 
@@ -83,7 +86,8 @@ class Bins:
     error that a coarse step of the values leaves in the mean of a rest, the same in all its bins. pose: (n,)
     index of what the gyroscope saw no turn in, None without one. swings: whether what the phone lies on does.
     held: whether rests are so brief that a hand may hold the phone in them, and turn it a little; a table's
-    rows may be parts of longer rests.
+    rows may be parts of longer rests. breathes: whether most of what the gyroscope reads in a rest turns it,
+    as on a chest or in a hand.
     """
 
     t: Array
@@ -104,6 +108,7 @@ class Bins:
     pose: Index | None = None
     swings: bool = False
     held: bool = False
+    breathes: bool = False
 
     def __len__(self) -> int:
         return int(self.t.size)
@@ -196,6 +201,7 @@ def cut(
         rate_variance=None if rate is None else _white_variances(rate.mean, first, last, LEAST_RATE, swings),
         swings=swings,
         held=_held(rest, (last - first) * width),
+        breathes=rate is not None and _breathes(force.mean, rate.mean, first, last, width),
         temperature=_bin_temperatures(overview.thermometer, span[0], first, last, width),
         force_rounding=_rounding(accelerometer, force, first, last),
         rate_rounding=None if rate is None or gyroscope is None else _rounding(gyroscope, rate, first, last),
@@ -317,6 +323,22 @@ def _held(rest: Index, duration: Array) -> bool:
     """Whether the usual rest of bins (n,) is brief; duration: (n,) s, of each."""
     seconds = np.bincount(rest, weights=duration)
     return bool(seconds.size > 0 and np.median(seconds[seconds > 0.0]) < SHORTEST_REST * WINDOW)
+
+
+def _breathes(force: Array, rate: Array, first: Array, last: Array, width: float) -> bool:
+    """Whether most of what a gyroscope reads about its mean of a rest turns gravity, as a breath does.
+
+    From window to window, `width` s apart, the force changes by force x rate (n, 3). The median over bins of
+    the part of it that comes about is 1 for a turn and 0 for a gyroscope's noise.
+    """
+    bins = [(a, b) for a, b in zip(first.astype(int), last.astype(int), strict=True) if b - a >= BRIEFEST_BIN]
+    parts = []
+    for a, b in bins:
+        own = rate[a:b] - rate[a:b].mean(axis=0)
+        middle = 0.5 * (force[a : b - 1] + force[a + 1 : b])
+        turned = np.cross(middle, 0.5 * (own[1:] + own[:-1])) * width
+        parts.append(float((turned * np.diff(force[a:b], axis=0)).sum() / max((turned**2).sum(), 1e-300)))
+    return bool(parts) and float(np.median(parts)) > TURNED
 
 
 def _swings(force: Array, rate: Array, first: Array, last: Array, rest: Index) -> bool:

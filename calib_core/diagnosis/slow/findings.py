@@ -80,7 +80,8 @@ def _moved_at_rest(residuals: SensorResiduals) -> bool:
 
     A deck that rolls heaves, too: the force is longer and shorter by turns.
     """
-    return residuals.bins.swings or (residuals.sensor == "gyro" and residuals.bins.held)
+    bins = residuals.bins
+    return bins.swings or (residuals.sensor == "gyro" and (bins.held or bins.breathes))
 
 
 def _along_gravity(residuals: SensorResiduals, explained: Sequence[Hypothesis]) -> bool:

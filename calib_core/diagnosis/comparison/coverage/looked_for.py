@@ -187,6 +187,7 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         yield bins.swings, "what it lies on swings"
         why = "its rests are brief: a hand that holds it turns it by as much"
         yield bins.held and sensor == "gyro", why
+        yield bins.breathes and sensor == "gyro", "it is turned to and fro in its rests by as much"
     if effect in OF_TURNS:
         have = 0 if exam.aligned is None else len(exam.aligned.turns)
         turns = _counted(have, "turn")

@@ -106,8 +106,9 @@ def turn_errors(
 
     found: named effects of the rate, whose sizes are unknown here. Evidence is that of all turns but the one
     that speaks most for it: a single one may be anything. On a ship that rolls, gravity is where the deck is.
+    On a chest that breathes it is elsewhere at the end of a rest than in its middle.
     """
-    missed = None if bins.swings else missed_turns(made, bins, gravity, found)
+    missed = None if bins.swings or bins.breathes else missed_turns(made, bins, gravity, found)
     if missed is None or not DirectEvidence(missed.nats()).stated:
         return None
     size = (missed.y**2).sum(axis=1) / (missed.variance + (SOUND[1] * missed.angle) ** 2)

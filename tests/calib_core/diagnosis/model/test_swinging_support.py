@@ -14,7 +14,7 @@ from stillcal.calib_core.diagnosis.model.rates import tilt_rate
 from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.turning_support import turning
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
-from stillcal.calib_core.diagnosis.slow.findings import _along_gravity
+from stillcal.calib_core.diagnosis.slow.findings import _along_gravity, _moved_at_rest
 from stillcal.calib_core.diagnosis.slow.standing import _turns
 from stillcal.calib_core.maths.rms import rms
 from tests.calib_core.diagnosis.slow.test_between_rest_variance import by_rest, short_rests
@@ -115,3 +115,9 @@ def test_a_swing_is_followed_where_it_is_itself_taken_for_noise() -> None:
     seen = tilt_rate(bins, bins.force / np.linalg.norm(bins.force, axis=1, keepdims=True))
     varies = bins.rate - bins.rate.mean(axis=0)
     assert rms((bins.rate - seen) - (bins.rate - seen).mean(axis=0)) < 0.4 * rms(varies)
+
+
+@pytest.mark.parametrize("where", ["held", "breathes"])
+def test_in_a_hand_or_on_a_chest_only_the_gyroscope_seems_to_wander(where: str) -> None:
+    accel, gyro = by_sensor(replace(moored(3), **{where: True}), nulls.G)
+    assert _moved_at_rest(gyro) and not _moved_at_rest(accel)

@@ -274,3 +274,22 @@ def test_what_leans_on_a_centrifuge_turns() -> None:
     rate = np.random.default_rng(2).normal(0.0, 1e-3, (N, 3)) + later * np.array([0.0, 0.0, 10.0])
     seen = cut(Samples.checked(Sensor.ACCELEROMETER, t, force), Samples.checked(Sensor.GYROSCOPE, t, rate))
     assert not (seen.t > 182.0).any()
+
+
+@pytest.mark.parametrize(
+    ("sway", "toggles", "breathes"), [(0.0, 0.0, False), (0.003, 0.0, True), (0.0, 0.01, False)]
+)
+def test_a_phone_on_a_chest_is_turned_to_and_fro_in_its_rests(
+    sway: float, toggles: float, *, breathes: bool
+) -> None:
+    """A gyroscope's bias that toggles turns nothing. Breaths were told as one that follows the rests."""
+    t = np.arange(0.0, 600.0, 0.04)
+    rng, phase = np.random.default_rng(3), 2.0 * np.pi * 0.25 * t
+    tilt, rate = sway * np.sin(phase), sway * 2.0 * np.pi * 0.25 * np.cos(phase)
+    force = 9.8 * np.column_stack([np.zeros_like(t), np.sin(tilt), np.cos(tilt)])
+    read = np.column_stack([rate + toggles * (np.sin(phase / 2.0) > 0.0), np.zeros_like(t), np.zeros_like(t)])
+    bins = cut(
+        Samples(Sensor.ACCELEROMETER, t, force + rng.normal(0.0, 0.01, force.shape)),
+        Samples(Sensor.GYROSCOPE, t, read + rng.normal(0.0, 1e-3, read.shape)),
+    )
+    assert len(bins) > 10 and bins.breathes == breathes and not bins.swings

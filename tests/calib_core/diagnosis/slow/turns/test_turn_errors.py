@@ -44,6 +44,12 @@ def test_turns_with_a_gain_each_are_found() -> None:
     assert low < 0.04 < 2.0 * high
 
 
+def test_where_the_device_is_turned_in_its_rests_gravity_tells_no_turn() -> None:
+    force, spin = scaled(0.04 * np.random.default_rng(3).normal(size=40))
+    bins = replace(cut(force, spin), breathes=True)
+    assert turn_errors(aligned(spin, bins, G), bins, G) is None
+
+
 def test_sound_turns_are_silent_and_so_is_one_that_is_off() -> None:
     assert found(*scaled(np.zeros(40))) is None
     assert found(*scaled(2e-3 * np.random.default_rng(4).normal(size=40))) is None
