@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -156,8 +157,11 @@ def _corrected(
     recorded, simulated = pair.exams
     moved = {(s.finding.effect, s.finding.sensor) for s in motion.found}
     in_motion = [d for d in slow.discrepancies if (d.effect, d.sensor) in moved]
-    # Vibrations that motion shows are taken off the difference: nobody knows their phase.
-    lines = [d for d in pair.values.discrepancies if d.effect == LINE and d.where.driver == IN_MOTION]
+    # Vibrations that motion shows are taken off the difference: nobody knows their phase. What an equation
+    # puts in at high frequency is rough: only low-passes that were there before are sought again.
+    of_motion = [d for d in pair.values.discrepancies if d.where.driver == IN_MOTION]
+    lines = [d for d in of_motion if d.effect == LINE]
+    filtered = {d.sensor for d in of_motion if d.effect == LOW_PASS}
     others = [d for d in pair.values.discrepancies if all(d is not one for one in lines)]
     played = [*with_echoes(pair.simulation, others, pair.values.compared), *in_motion]
     made = correct(pair.simulation, played, {})
@@ -166,7 +170,8 @@ def _corrected(
     after = without_found(exam, slow, left.found, left)
     measured = examined(made.recording, silent, sought=())
     measured = with_own_values(measured, simulated, of_other_values(played, made))
-    after = after.and_of(_values_of((recorded, measured), pair.names, _frequencies(lines)))
+    values = _values_of((recorded, measured), pair.names, lines=_frequencies(lines), filtered=filtered)
+    after = after.and_of(values)
     out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
     return after, [*out, *made.left_out]
 
@@ -174,10 +179,13 @@ def _corrected(
 def _values_of(
     exams: tuple[Examination, Examination],
     names: tuple[str, str],
-    lines: Mapping[str, Sequence[float]] | None = None,
+    **known: Any,
 ) -> Comparison:
-    """Compare what single samples and the noise at rest show, beside the slow effects that are looked for."""
-    return compare_samples(exams, names, len(list(slow_effects(exams[0]))), lines)
+    """Compare what samples show, beside the slow effects that are looked for.
+
+    known: what is known already, as `compare_samples` takes it.
+    """
+    return compare_samples(exams, names, len(list(slow_effects(exams[0]))), **known)
 
 
 def _frequencies(lines: Sequence[Discrepancy]) -> dict[str, list[float]]:

@@ -7,7 +7,7 @@ Data, 4th ed. 2010, chapter 6: the response of a system by cross-spectra).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -76,16 +76,18 @@ class _Spectra:
 
 
 def with_low_passes_in_motion(
-    sides: Sequence[Mapping[Key, Quantity]], exams: tuple[Examination, Examination]
+    sides: Sequence[Mapping[Key, Quantity]], exams: tuple[Examination, Examination], sought: Collection[str]
 ) -> list[dict[Key, Quantity]]:
-    """Return what two recordings of one motion show of noise, with low-passes that their motion shows.
+    """Return what two recordings of one motion show of noise, with the low-passes that motion shows.
 
-    Where noise shows that they differ, or that both are filtered, it is asked alone: it shows each by itself.
+    sought: the sensors that are asked for. Where noise shows that they differ, or that both are filtered, it
+    is asked alone: it shows each by itself.
     """
     out = [dict(side) for side in sides]
     for sensor, first, second in _shared(exams):
         key = (LOW_PASS, sensor)
-        found = None if _by_noise([side.get(key) for side in out]) else low_pass_in_motion(first, second)
+        asked = sensor in sought and not _by_noise([side.get(key) for side in out])
+        found = low_pass_in_motion(first, second) if asked else None
         if found is None:
             continue
         rate = 1.0 / sample_period(first.t)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, direct_checks
 from stillcal.calib_core.diagnosis.comparison.direct import stamp_quantities
@@ -22,13 +22,15 @@ def compare_samples(
     names: tuple[str, str],
     beside: int = 0,
     lines: Mapping[str, Sequence[float]] | None = None,
+    filtered: Collection[str] = ("accel", "gyro"),
 ) -> Comparison:
     """Compare what samples show of a recording and a simulation of one motion, with the same stamps.
 
     beside: how many effects are compared besides, with which these share their prior odds. lines: by sensor,
-    Hz, vibrations that are known and taken off what one reads less the other.
+    Hz, vibrations that are known and taken off what one reads less the other. filtered: sensors whose
+    low-passes are sought in motion.
     """
-    more = with_low_passes_in_motion(white_noise.of_both(exams), exams)
+    more = with_low_passes_in_motion(white_noise.of_both(exams), exams, filtered)
     every = [_shares(exam) | noise for exam, noise in zip(exams, more, strict=True)]
     sides = white_noise.without_repeated(every)
     levels = [(white_noise.LEVEL, stream.sensor) for stream in exams[0].streams]
