@@ -15,7 +15,14 @@ from stillcal.replay.blind_test.designs import Design
 from stillcal.replay.blind_test.keys import Key, TrueEffect
 from stillcal.replay.blind_test.power import detectability as power
 from stillcal.replay.blind_test.power.sizing import Stage, d_of_walks, put_in
-from stillcal.replay.blind_test.simulations.scaled import CONSTANTS, drawn, scaled, with_constant, without_own
+from stillcal.replay.blind_test.simulations.scaled import (
+    CONSTANTS,
+    drawn,
+    scaled,
+    told_by_stamps,
+    with_constant,
+    without_own,
+)
 from stillcal.replay.blind_test.world import phones
 from stillcal.replay.blind_test.world.day import binned, over_bins
 from stillcal.replay.blind_test.world.days import Day, play
@@ -46,7 +53,7 @@ def make_simulated(design: Design, rng: np.random.Generator) -> Case:
     # A phone whose jitter is usual at the higher rate is usual at both.
     base = without_own(_phone(design, max(days.rates), rng), name)
     stages = _stages(design, base, days, rng)
-    full = drawn(stages[0], name, design.d_prime)
+    full = told_by_stamps(drawn(stages[0], name, design.d_prime), max(days.rates))
     assert design.share is not None, "the plan draws a share for every case of this kind"
     shares = (0.0, 1.0) if design.reverse else (1.0, design.share)
     recordings = [

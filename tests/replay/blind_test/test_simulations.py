@@ -159,3 +159,12 @@ def test_files_of_a_given_simulation_and_of_a_phone_lie_beside_their_recordings(
     )
     fresh = folder / phone.name.replace(answering.PHONE, answering.FRESH)
     assert fresh.is_file() and not (folder / "manifest.csv").exists()
+
+
+def test_a_jitter_twice_as_large_is_twice_as_large_in_the_stamps() -> None:
+    """At the higher rate it was cut to the recording's size, and "agreed" was counted as wrong."""
+    case = make_case(design("timestamp_jitter", 2.0), 3, 2)
+    assert case.key.relation == "too_large" and case.simulation is not None
+    rows = [made.accelerometer.t for made in (case.recording, case.simulation)]
+    size = [float(np.diff(t).std()) for t in rows]
+    assert size[1] / size[0] == pytest.approx(2.0, rel=0.1)
