@@ -21,14 +21,14 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, sub
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Where
-from stillcal.calib_core.diagnosis.model.settings import CERTAIN_NATS
+from stillcal.calib_core.diagnosis.model.settings import BANDWIDTH_LIMIT, CERTAIN_NATS
 from stillcal.calib_core.diagnosis.noise.filter_kinds import kinds_of
 from stillcal.calib_core.diagnosis.noise.low_pass import SHARED
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 
-WINDOW, EVEN = 256, 0.05
-"""Samples of a stretch, and the part of its length by which it may be longer than these take."""
+STRETCH, LEAST_SAMPLES, EVEN = 2.56, 64, 0.05
+"""s of a stretch, the least samples of one, and the part of its length by which these may take longer."""
 
 PARTS, LEAST_WINDOWS = 8, 16
 """Parts of a recording that errors are taken from, and stretches that are needed."""
@@ -130,13 +130,14 @@ def low_pass_in_motion(first: Samples, second: Samples) -> Followed | None:
 def _spectra(first: Samples, second: Samples) -> _Spectra | None:
     """Return the spectra of stretches without a gap; None where these are few."""
     period = sample_period(first.t)
-    starts = np.arange(0, len(first) - WINDOW + 1, WINDOW // 2)
-    length = first.t[starts + WINDOW - 1] - first.t[starts] if starts.size else np.zeros(0)
-    starts = starts[np.abs(length - (WINDOW - 1) * period) < EVEN * WINDOW * period]
+    size = max(round(STRETCH / period), LEAST_SAMPLES)
+    starts = np.arange(0, len(first) - size + 1, size // 2)
+    length = first.t[starts + size - 1] - first.t[starts] if starts.size else np.zeros(0)
+    starts = starts[np.abs(length - (size - 1) * period) < EVEN * size * period]
     if starts.size < LEAST_WINDOWS:
         return None
-    rows = starts[:, None] + np.arange(WINDOW)
-    window = np.hanning(WINDOW + 1)[:WINDOW, None]
+    rows = starts[:, None] + np.arange(size)
+    window = np.hanning(size + 1)[:size, None]
     both = []
     for samples in (first, second):
         cut = samples.xyz[rows]
@@ -148,7 +149,7 @@ def _spectra(first: Samples, second: Samples) -> _Spectra | None:
         of_all_axes = products.sum(axis=2)
         return np.array([of_all_axes[part == k].sum(axis=0) for k in range(PARTS)])
 
-    f = np.asarray(np.fft.rfftfreq(WINDOW, period), dtype=np.float64)
+    f = np.asarray(np.fft.rfftfreq(size, period), dtype=np.float64)
     return _Spectra(f, summed(one * other.conj()), summed(np.abs(one) ** 2), summed(np.abs(other) ** 2))
 
 
@@ -175,17 +176,15 @@ def _filtered(seen: _Spectra, rate: float, *, of_first: bool) -> tuple[float, Fo
     scale = max(least / max(through.size - 3, 1), 1.0) * SHARED
     kind, misfit = min(common if usual - least < 4.0 * scale else fits, key=lambda fit: fit[1].min())
     k = int(np.argmin(misfit))
-    shape = np.sqrt(kind.shapes[k])
+    cutoff, shape = float(cutoffs[k]), np.sqrt(kind.shapes[k])
     gain = float((weight * through * shape).sum() / (weight * shape**2).sum())
     off = float(np.sqrt(np.average((through / gain - shape) ** 2, weights=weight)))
-    inside = 0 < k < CUTOFFS - 1 and float(shape.min()) < FALLS
+    inside = k > 0 and cutoff < BANDWIDTH_LIMIT * rate and float(shape.min()) < FALLS
     if not inside or off > FITS:
         return None
     near = cutoffs[misfit - misfit[k] < 4.0 * scale]
-    spread = max(float(np.ptp(near)) / 4.0, FITS / 2.0 * float(cutoffs[k]))
-    return 0.5 * (flat - misfit[k]) / scale, Followed(
-        of_first, Measured(float(cutoffs[k]), spread), kind.order
-    )
+    measured = Measured(cutoff, max(float(np.ptp(near)) / 4.0, FITS / 2.0 * cutoff))
+    return 0.5 * (flat - misfit[k]) / scale, Followed(of_first, measured, kind.order)
 
 
 def _through(cross: NDArray[np.complex128], power: Array, noise: float) -> tuple[Array, Array]:

@@ -85,3 +85,22 @@ def test_stretches_with_a_gap_are_left_out() -> None:
     once = t + 5.0 * (t > 30.0)
     found = low_pass_in_motion(read(filtered, 2, once), read(motion(), 3, once))
     assert found is not None and found.cutoff.value == pytest.approx(12.0, rel=0.06)
+
+
+@pytest.mark.parametrize("rate", [40.0, 400.0])
+def test_the_sample_rate_does_not_matter(rate: float) -> None:
+    """At 400 Hz a stretch of 256 samples has too few frequencies below those of a hand."""
+    count = int(60.0 * rate)
+    white = np.random.default_rng(6).normal(0.0, 1.0, (count, 3))
+    true = lfilter(*butter(2, 12.0, fs=rate), white, axis=0)
+    filtered = lfilter(*butter(2, 8.0, fs=rate), true, axis=0)
+    t = np.arange(count) / rate
+    found = low_pass_in_motion(read(filtered, 2, t), read(true, 3, t))
+    assert found is not None and found.cutoff.value == pytest.approx(8.0, rel=0.06)
+
+
+def test_a_low_pass_as_wide_as_parts_come_with_is_none() -> None:
+    wide = behind(10.0 * np.random.default_rng(1).normal(0.0, 1.0, (COUNT, 3)), 30.0)
+    found = told(behind(wide, 34.0), wide)
+    assert found is not None and found.cutoff.value == pytest.approx(34.0, rel=0.1)
+    assert told(behind(wide, 44.0), wide) is None
