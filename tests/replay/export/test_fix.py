@@ -297,7 +297,7 @@ def test_kalibr_changes_its_lines_only() -> None:
     assert made.not_held == ["gyro_slow_noise: there is no gyroscope_random_walk in it"]
 
 
-@pytest.mark.parametrize(
+WITH_WALKS = pytest.mark.parametrize(
     ("tool", "text", "written", "unit"),
     [
         ("kalibr", "gyroscope_random_walk: 1.0e-6\n", "gyroscope_random_walk: ", 1.0),
@@ -310,6 +310,10 @@ def test_kalibr_changes_its_lines_only() -> None:
         ("phone", "[gyro.noise]\nrandom_walk = 1e-6\n", "random_walk = [", 1.0),
     ],
 )
+"""Files with a random walk of their own: what stands before it, and what it has to be multiplied by."""
+
+
+@WITH_WALKS
 def test_slow_noise_is_written_as_the_walk_that_the_recording_has_beside_its_white_noise(
     tool: str, text: str, written: str, unit: float
 ) -> None:
@@ -343,19 +347,7 @@ def test_where_the_recording_has_white_noise_only_slow_noise_is_taken_out(tool: 
         assert fixed(tool, made.text, SLOW).text == fixed(tool, fresh, SLOW).text != made.text
 
 
-@pytest.mark.parametrize(
-    ("tool", "text", "written", "unit"),
-    [
-        ("kalibr", "gyroscope_random_walk: 1.0e-6\n", "gyroscope_random_walk: ", 1.0),
-        (
-            "imusensor",
-            "a = imuSensor();\na.Gyroscope.RandomWalk = [1e-6 1e-6 1e-6];\n",
-            "Walk = [",
-            np.sqrt(2.0),
-        ),
-        ("phone", "[gyro.noise]\nrandom_walk = 1e-6\n", "random_walk = [", 1.0),
-    ],
-)
+@WITH_WALKS
 def test_a_random_walk_is_written_as_it_was_found(tool: str, text: str, written: str, unit: float) -> None:
     """kalibr and the others held none: only slow noise of no certain kind was written."""
     walk = finding("gyro_bias_random_walk", "gyro", {"density": ([5e-6] * 3, [2e-6] * 3)})
