@@ -47,14 +47,13 @@ def without_leaning(bins: Bins) -> Bins:
     if bins.rate is None or not len(bins):
         return bins
     size = np.linalg.norm(bins.force, axis=1, keepdims=True)
-    lean = _leaning(bins, bins.force / np.maximum(size, 1e-9), bins.rate)
+    lean = _without_plug(bins, _leaning(bins, bins.force / np.maximum(size, 1e-9), bins.rate))
     longer = np.sqrt(1.0 + (lean**2).sum(axis=1, keepdims=True))
     return _without_pushes(replace(bins, force=bins.force / longer), lean)
 
 
 def _without_pushes(bins: Bins, lean: Array) -> Bins:
-    """Return the bins of rests in which nothing pushes. lean: (n, 3) tangents that are no tilt."""
-    lean = _without_plug(bins, lean)
+    """Return the bins of rests in which nothing pushes. lean: (n, 3) tangents without tilt and plug."""
     size, length = np.linalg.norm(lean, axis=1), np.linalg.norm(bins.force, axis=1)
     pushes, far = np.zeros(bins.rest[-1] + 1, dtype=np.int64), size > PUSH
     for r in np.unique(bins.rest[far]):
