@@ -131,15 +131,28 @@ def _constants(
 def _of_sensor(own: Sequence[Difference], alone: Sequence[Alone], count: int) -> list[Discrepancy]:
     """Return what is stated of a sensor's bias and scale.
 
-    Where one of them is sure, and nothing speaks for the other beside it, it is as it is alone.
+    Where one of them is sure and the other is not, it is as it is alone, for it alone is put right. As unsure
+    as it is that the other is alike, its error is that of both.
     """
     sure = [d for d in own if d.probability >= CERTAIN]
     if not sure:
         return _of_either(alone, count)
     (first,) = (one for one in alone if one.quantity.effect == sure[0].recorded.effect)
-    if len(sure) == 1 and first.both < first.nats:
-        sure = [replace(_apart(first.quantity, first.nats), probability=sure[0].probability)]
+    if len(sure) == 1:
+        alone_or_not = _as_unsure(first, sure[0].recorded)
+        sure = [replace(_apart(alone_or_not, first.nats), probability=sure[0].probability)]
     return [_of_constant(d) for d in sure]
+
+
+def _as_unsure(alone: Alone, beside: Quantity) -> Quantity:
+    """Return a constant as it is alone, with the variance about that of what it may be beside the other.
+
+    Each of the two models counts by its probability (Hoeting et al., Statistical Science 14, 1999, eq. 3).
+    """
+    own, off = alone.quantity, beside.value - alone.quantity.value
+    part = 1.0 / (1.0 + float(np.exp(alone.nats - alone.both)))
+    mixed = (1.0 - part) * own.covariance + part * (beside.covariance + np.outer(off, off))
+    return replace(own, covariance=mixed)
 
 
 def _of_either(alone: Sequence[Alone], count: int) -> list[Discrepancy]:
