@@ -176,3 +176,14 @@ def test_knocks_that_ring_below_what_is_far_are_no_outliers(ring: float) -> None
     found = said(values)
     assert (found is None) == (ring > 0.0)
     assert found is None or found.where.driver == AT_ONCE
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_chance_beside_outliers_is_no_ring_of_a_knock(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    values = rng.normal(0.0, 0.01, (50000, 3))
+    struck = np.flatnonzero(rng.random(50000) < 0.002)
+    blows = rng.choice([-1.0, 1.0], (struck.size, 3)) * rng.uniform(0.06, 0.15, (struck.size, 3))
+    values[struck] += blows
+    found = said(values)
+    assert found is not None and found.where.driver == AT_ONCE
