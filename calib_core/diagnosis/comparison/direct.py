@@ -325,13 +325,14 @@ def _alike(one: Finding, other: Finding, name: str) -> bool:
 def quantities_of(one: Finding, other: Finding) -> tuple[Quantity, Quantity] | None:
     """Return two findings' parameters as quantities; None where they have not the same ones with intervals.
 
-    They are logarithms where every number of both is positive: an amplitude of nothing on one axis has none.
+    They are logarithms where every number of both is surely positive: one that may be nothing has none.
     """
     names = [_with_interval(finding) for finding in (one, other)]
     values = [_numbers(f, n) for f, n in zip((one, other), names, strict=True)]
     if not names[0] or names[0] != names[1] or values[0].shape != values[1].shape:
         return None
-    positive = all(bool((value > 0.0).all()) for value in values)
+    errors = [_errors(f, n) for f, n in zip((one, other), names, strict=True)]
+    positive = all(bool((v > NORMAL_95 * e).all()) for v, e in zip(values, errors, strict=True))
     return _quantity(one, names[0], positive), _quantity(other, names[1], positive)
 
 
@@ -344,10 +345,13 @@ def _numbers(finding: Finding, names: Sequence[str]) -> Array:
     return np.concatenate(values) if values else np.empty(0)
 
 
-def _quantity(finding: Finding, names: Sequence[str], logarithmic: bool) -> Quantity:
-    value = _numbers(finding, names)
+def _errors(finding: Finding, names: Sequence[str]) -> Array:
     errors = [_interval(finding.parameters[n]) for n in names]
-    sigma = np.concatenate([e for e in errors if e is not None])
+    return np.concatenate([e for e in errors if e is not None])
+
+
+def _quantity(finding: Finding, names: Sequence[str], logarithmic: bool) -> Quantity:
+    value, sigma = _numbers(finding, names), _errors(finding, names)
     own = finding.parameters
     parts = tuple(Part(n, own[n].unit, np.size(own[n].value)) for n in names)
     if logarithmic:

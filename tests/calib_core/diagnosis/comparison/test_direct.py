@@ -22,7 +22,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quanti
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
-from stillcal.calib_core.diagnosis.model.records import Finding, Where
+from stillcal.calib_core.diagnosis.model.records import Evidence, Finding, Parameter, Where
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import tones
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
@@ -63,6 +63,21 @@ def test_a_line_that_is_the_same_is_no_difference_where_an_axis_shows_nothing_of
     assert np.min(quiet.parameters["amplitude"].value) == 0.0 < np.min(heard.parameters["amplitude"].value)
     assert evidence((0.03, 0.03), (2, 1)) < 0.0
     assert evidence((0.03, 0.03), (1, 2)) < 0.0
+
+
+def test_an_axis_that_may_have_nothing_has_no_logarithm() -> None:
+    """An arm of 0.005 +- 3 mm along z was told as 1e-276 to 2e265 m, where all its numbers were positive."""
+    where = Where(0.0, 1.0, (0.0, 0.05), "rate of turn")
+    arms = []
+    for at in ([0.02, 0.02, 5e-6], [0.08, 0.02, 2e-5]):
+        size = Parameter(at, [[x - 3e-3, x + 3e-3] for x in at], "m")
+        arms.append(
+            Finding("lever_arm", "accel", ["x", "y"], where, {"position": size}, Evidence(50.0), [], "")
+        )
+    pair = quantities_of(*arms)
+    assert pair is not None and not pair[0].logarithmic and not pair[1].logarithmic
+    assert pair[0].value == pytest.approx([0.02, 0.02, 5e-6])
+    assert subtract(*pair).log_bayes_factor > 10.0
 
 
 def test_a_line_twice_as_strong_is_a_difference_whether_or_not_an_axis_shows_nothing_of_it() -> None:
