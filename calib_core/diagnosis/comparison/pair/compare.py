@@ -150,7 +150,7 @@ def _as_unsure(alone: Alone, beside: Quantity) -> Quantity:
     Each of the two models counts by its probability (Hoeting et al., Statistical Science 14, 1999, eq. 3).
     """
     own, off = alone.quantity, beside.value - alone.quantity.value
-    part = 1.0 / (1.0 + float(np.exp(alone.nats - alone.both)))
+    part = posterior(alone.both - alone.nats, 1)
     mixed = (1.0 - part) * own.covariance + part * (beside.covariance + np.outer(off, off))
     return replace(own, covariance=mixed)
 

@@ -80,6 +80,7 @@ def test_turns_about_axes_that_are_right_hide_no_other_convention(change: np.nda
     assert found is not None and np.array_equal(found.parameters["exchange"].value, change.T)
 
 
+@pytest.mark.slow
 def test_five_turns_tell_another_convention_and_nothing_else_as_one() -> None:
     """A wrong sign and five turns were a match, without a word that axes could not be checked."""
     told = []

@@ -135,7 +135,7 @@ def test_the_diagnosis_states_it_once() -> None:
     assert "2 times" in found[0].statement
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("told", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_bias_while_charging_is_not_told_as_jumps_besides(told: bool) -> None:
     """It turned gravity by 0.2 degrees at each plug, and was unknown as well. Events come a second late."""
     rng, t = np.random.default_rng(4), np.arange(0.0, 1200.0, 1.0 / RATE)
