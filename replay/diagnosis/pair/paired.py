@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -20,7 +19,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
 )
 from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, LINE
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
-from stillcal.calib_core.diagnosis.comparison.pair.samples import compare_samples
+from stillcal.calib_core.diagnosis.comparison.pair.samples import FoundAlready, compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.stands import (
     with_own_of_simulation,
@@ -170,22 +169,17 @@ def _corrected(
     after = without_found(exam, slow, left.found, left)
     measured = examined(made.recording, silent, sought=())
     measured = with_own_values(measured, simulated, of_other_values(played, made))
-    values = _values_of((recorded, measured), pair.names, lines=_frequencies(lines), filtered=filtered)
+    values = _values_of((recorded, measured), pair.names, FoundAlready(_frequencies(lines), filtered))
     after = after.and_of(values)
     out = [effect for effect in without_equation(slow) if effect not in {d.effect for d in in_motion}]
     return after, [*out, *made.left_out]
 
 
 def _values_of(
-    exams: tuple[Examination, Examination],
-    names: tuple[str, str],
-    **known: Any,
+    exams: tuple[Examination, Examination], names: tuple[str, str], known: FoundAlready | None = None
 ) -> Comparison:
-    """Compare what samples show, beside the slow effects that are looked for.
-
-    known: what is known already, as `compare_samples` takes it.
-    """
-    return compare_samples(exams, names, len(list(slow_effects(exams[0]))), **known)
+    """Compare what samples show, beside the slow effects that are looked for."""
+    return compare_samples(exams, names, len(list(slow_effects(exams[0]))), known)
 
 
 def _frequencies(lines: Sequence[Discrepancy]) -> dict[str, list[float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION, direct_checks
 from stillcal.calib_core.diagnosis.comparison.direct import stamp_quantities
@@ -17,20 +18,31 @@ from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 
 
+@dataclass(frozen=True, slots=True)
+class FoundAlready:
+    """What was found of two recordings before their samples are compared again.
+
+    lines: by sensor, Hz, vibrations that are taken off what one reads less the other; filtered: sensors whose
+    low-passes are sought in motion.
+    """
+
+    lines: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    filtered: Collection[str] = ("accel", "gyro")
+
+
 def compare_samples(
     exams: tuple[Examination, Examination],
     names: tuple[str, str],
     beside: int = 0,
-    lines: Mapping[str, Sequence[float]] | None = None,
-    filtered: Collection[str] = ("accel", "gyro"),
+    known: FoundAlready | None = None,
 ) -> Comparison:
     """Compare what samples show of a recording and a simulation of one motion, with the same stamps.
 
-    beside: how many effects are compared besides, with which these share their prior odds. lines: by sensor,
-    Hz, vibrations that are known and taken off what one reads less the other. filtered: sensors whose
-    low-passes are sought in motion.
+    beside: how many effects are compared besides, with which these share their prior odds. known: what was
+    found of the two before, nothing by default.
     """
-    more = with_low_passes_in_motion(white_noise.of_both(exams), exams, filtered)
+    known = known or FoundAlready()
+    more = with_low_passes_in_motion(white_noise.of_both(exams), exams, known.filtered)
     every = [_shares(exam) | noise for exam, noise in zip(exams, more, strict=True)]
     sides = white_noise.without_repeated(every)
     levels = [(white_noise.LEVEL, stream.sensor) for stream in exams[0].streams]
@@ -45,7 +57,7 @@ def compare_samples(
     missing = [n for n in missing if _is_compared((n.effect, n.sensor))]
     missing += [_missing(key, sides, exams, names) for key in keys if key not in both]
     neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
-    looked, found = _lines(not_both, exams, lines or {})
+    looked, found = _lines(not_both, exams, known.lines)
     alone += found
     neither += looked
     not_both = [n for n in not_both if (n.effect, n.sensor) not in looked]
