@@ -24,6 +24,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, Finding
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
 from stillcal.calib_core.diagnosis.model.settings import LEAST_BINS
 from stillcal.calib_core.diagnosis.noise.lines.even_stamps import evened
+from stillcal.calib_core.diagnosis.noise.lines.line import TONE
 from stillcal.calib_core.diagnosis.segments.overview import Overview
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.windows import Windows
@@ -40,7 +41,6 @@ from stillcal.replay.diagnosis.sample_changes import changes, limit_of, rate_of,
 from stillcal.replay.formats.trace import Recording
 
 MATRIX_NUMBERS = 9
-LINE = "vibration_tone"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +100,7 @@ def with_echoes(
     """
     if simulation.gyroscope is None:
         return list(found)
-    own = [d.recorded for d in compared if d.recorded.effect == LINE]
+    own = [d.recorded for d in compared if d.recorded.effect == TONE]
     lines = [(d, echo) for d in found if (line := _new_line(d)) is not None for echo in line.echoes]
     new = ((d, e) for d, e in lines if not any(_is_part(one, e) for one in own))
     return [*found, *(replace(d, sensor=e.sensor, axes=e.axes, recorded=e) for d, e in new)]
@@ -215,7 +215,7 @@ def _added(
 
 def _new_line(one: Discrepancy) -> Finding | None:
     """Return the vibration of a difference that only the recording has; None of any other difference."""
-    return one.recorded if one.effect == LINE and one.relation == "lacking" else None
+    return one.recorded if one.effect == TONE and one.relation == "lacking" else None
 
 
 def _step(samples: Samples, one: Discrepancy) -> Array | None:

@@ -23,13 +23,14 @@ from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy
 from stillcal.calib_core.diagnosis.effects.followed import driver_of, follows_temperature
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.noise.lines.line import TONE
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 from stillcal.calib_core.diagnosis.stream import Stream
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.condense import LongRecording
-from stillcal.replay.diagnosis.corrected import LINE, Corrected, correct, span_of, with_echoes
+from stillcal.replay.diagnosis.corrected import Corrected, correct, span_of, with_echoes
 from stillcal.replay.diagnosis.judged import Judged, ShowStage, examined, refuse_short, silent
 from stillcal.replay.formats.trace import Recording
 
@@ -39,7 +40,7 @@ Correct = Callable[[Comparison, dict[str, Any]], Corrected]
 ON_VALUES = (*OF_DENSITY, "saturation", "quantisation", "held_samples", "bandwidth", "time_offset")
 """Effects, by the end of their names, that change a sensor's noise at rest, its single values or its time."""
 
-OF_SAMPLES = (LINE, "lever_arm")
+OF_SAMPLES = (TONE, "lever_arm")
 """What single samples show, and not how they are rounded."""
 
 

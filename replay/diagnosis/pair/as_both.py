@@ -8,13 +8,13 @@ from functools import partial
 
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import shared_streams
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.direct.repeated_values import held_rows
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
-from stillcal.replay.diagnosis.pair.readings import shared_streams
 from stillcal.replay.diagnosis.sample_changes import clipped, low_passed
 from stillcal.replay.formats.trace import Recording
 
@@ -88,7 +88,7 @@ def without_held_rows(recording: Recording, simulation: Recording) -> tuple[Reco
 
     The recording lacks those that the simulation holds as well.
     """
-    for sensor, own, other in shared_streams(recording, simulation):
+    for sensor, (own, other) in shared_streams(recording, simulation).items():
         held = held_rows(own), held_rows(other)
         recording = _changed(recording, sensor, partial(Samples.where, kept=~(held[0] | held[1])))
         simulation = _changed(simulation, sensor, partial(Samples.where, kept=~held[1]))

@@ -17,7 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     without_equation,
     without_found,
 )
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, LINE
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.pair.samples import FoundAlready, compare_samples
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
@@ -27,7 +27,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.stands import (
 )
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import TONE, middle_hz
 from stillcal.replay.diagnosis.answer import Fit, answer_of, findings_stated
 from stillcal.replay.diagnosis.corrected import correct, with_echoes
 from stillcal.replay.diagnosis.given_simulation import (
@@ -159,7 +159,7 @@ def _corrected(
     # Vibrations that motion shows are taken off the difference: nobody knows their phase. What an equation
     # puts in at high frequency is rough: only low-passes that were there before are sought again.
     of_motion = [d for d in pair.values.discrepancies if d.where.driver == IN_MOTION]
-    lines = [d for d in of_motion if d.effect == LINE]
+    lines = [d for d in of_motion if d.effect == TONE]
     filtered = {d.sensor for d in of_motion if d.effect == LOW_PASS}
     others = [d for d in pair.values.discrepancies if all(d is not one for one in lines)]
     played = [*with_echoes(pair.simulation, others, pair.values.compared), *in_motion]

@@ -10,6 +10,7 @@ import numpy as np
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.delay import SURE, late
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import shared_streams
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, shared_as_it_is
 from stillcal.calib_core.diagnosis.model.records import NAME
 from stillcal.calib_core.errors import UserError
@@ -31,7 +32,7 @@ def refuse_itself(recording: Recording, others: Sequence[Recording], *, simulate
     simulated: the others are simulations, of which a change of one sensor alone leaves the other's samples.
     """
     for other in others:
-        same = [np.array_equal(b.xyz, a.xyz) for _, a, b in shared_streams(recording, other)]
+        same = [np.array_equal(b.xyz, a.xyz) for a, b in shared_streams(recording, other).values()]
         if all(same if simulated else same[:1]):
             raise UserError(
                 f"{other.name}: holds the very samples of {recording.name}; give what another sensor, or a"
@@ -41,7 +42,7 @@ def refuse_itself(recording: Recording, others: Sequence[Recording], *, simulate
 
 def refuse_other_stamps(recording: Recording, simulation: Recording) -> None:
     """Raise UserError where two recordings are not of the same moments, naming the first that differs."""
-    for sensor, own, other in shared_streams(recording, simulation):
+    for sensor, (own, other) in shared_streams(recording, simulation).items():
         n = min(len(own), len(other))
         apart = np.abs(own.t[:n] - other.t[:n]) > SAME_STAMP * float(np.median(np.diff(own.t)))
         if apart.any():
@@ -70,8 +71,8 @@ def refuse_other_motion(recording: Recording, simulation: Recording) -> None:
 
 def nearer(right: Recording, as_read: Recording, other: Recording) -> bool:
     """Whether what was put right of a recording reads the motion more as another recording does."""
-    pairs = zip(shared_streams(right, other), shared_streams(as_read, other), strict=True)
-    return all(now is was or _apart(now, true) < _apart(was, true) for (_, now, true), (_, was, _) in pairs)
+    pairs = zip(*(shared_streams(one, other).values() for one in (right, as_read)), strict=True)
+    return all(now is was or _apart(now, true) < _apart(was, true) for (now, true), (was, _) in pairs)
 
 
 def _apart(own: Samples, other: Samples) -> float:
@@ -98,15 +99,6 @@ def refuse_shifted(recording: Recording, simulation: Recording) -> None:
         f" than {recording.name}; move its stamps by {shift * 1e3:+.0f} ms and interpolate it at those of"
         f" {recording.name}, or leave --paired out"
     )
-
-
-def shared_streams(recording: Recording, simulation: Recording) -> list[tuple[str, Samples, Samples]]:
-    """Return the name of each sensor that both have, and its samples in both."""
-    both = {
-        "accel": (recording.accelerometer, simulation.accelerometer),
-        "gyro": (recording.gyroscope, simulation.gyroscope),
-    }
-    return [(s, own, other) for s, (own, other) in both.items() if own is not None and other is not None]
 
 
 def readings_of(recording: Recording) -> Readings:

@@ -82,13 +82,13 @@ def by_name(difference: Difference, exams: Sequence[Examination]) -> Difference:
 
     Where the two agree both have to. One that states none, and has less than a third, is as good as without.
     """
-    both = difference.recorded, difference.simulated
-    if not all(isinstance(q, SlowNoise) for q in both):
+    own, other = difference.recorded, difference.simulated
+    if not isinstance(own, SlowNoise) or not isinstance(other, SlowNoise):
         return difference
-    stated = [_states_walk(exam, q.sensor) for exam, q in zip(exams, both, strict=True)]
+    stated = [_states_walk(exam, own.sensor) for exam in exams]
     if not (all(stated) if difference.agrees else stated[int(difference.value.sum() < 0.0)]):
         return difference
-    recorded, simulated = map(_as_walk, both)
+    recorded, simulated = _as_walk(own), _as_walk(other)
     apart = recorded.value - simulated.value
     least = abs(float(apart.mean())) > TIMES
     return replace(
@@ -105,13 +105,12 @@ def _states_walk(exam: Examination, sensor: str) -> bool:
     return any(s.finding.effect == f"{sensor}{WALK}" for s in exam.statements)
 
 
-def _as_walk(seen: Quantity) -> Quantity:
+def _as_walk(seen: SlowNoise) -> Quantity:
     """Return the density of the random walk with this slow noise, on each axis.
 
     The Allan variance at tau of a walk of density N is N^2 tau / 3 (IEEE Std 952-1997, Annex C). That of
     white noise is beside it, and is never taken for more than nine tenths of what is seen.
     """
-    assert isinstance(seen, SlowNoise), "of slow noise"
     whole = np.exp(2.0 * seen.value)
     own = np.maximum(whole - seen.white, 0.1 * whole)
     value, spread = 0.5 * np.log(3.0 * own / AVERAGED), seen.sigma * whole / own

@@ -115,12 +115,21 @@ def _as_sure(streams: Sequence[Stream], low_passes: Sequence[Quantity | None]) -
 
     What it takes off the noise would be a difference of the noise before it.
     """
-    own, other = low_passes
-    if own is None or other is None or own.none == other.none:
-        return list(streams)
-    if subtract(own, other).log_bayes_factor > CERTAIN_NATS:
+    nats = of_one_alone(low_passes)
+    if nats is None or nats > CERTAIN_NATS:
         return list(streams)
     return [stream.without_low_pass() for stream in streams]
+
+
+def of_one_alone(low_passes: Sequence[Quantity | None]) -> float | None:
+    """Return the nats for a low-pass that one of two recordings has and the other has not.
+
+    None where both have one, or neither, or one of the two does not tell.
+    """
+    own, other = low_passes
+    if own is None or other is None or own.none == other.none:
+        return None
+    return subtract(own, other).log_bayes_factor
 
 
 def _levels(streams: Sequence[Stream]) -> list[Quantity | None]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.stated import Sole
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
-from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz, reach_hz
+from stillcal.calib_core.diagnosis.noise.lines.line import TONE, middle_hz, reach_hz
 from stillcal.calib_core.diagnosis.noise.lines.spectral_line import AtRest, tones
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.maths.sines import without_vibrations
@@ -23,8 +24,6 @@ from stillcal.calib_core.streams.samples import Samples
 
 IN_MOTION = "motion"
 """Driver of what two recordings of one motion show against each other."""
-
-LINE = "vibration_tone"
 
 NOTHING = 1e-9
 """Part of the largest reading that is as good as none: rounding of double precision leaves less."""
@@ -39,20 +38,38 @@ SHARED = 0.25
 """Part of a vibration's power below which what one reads less the other has none of it: half of its size."""
 
 
-def shared_streams(exams: tuple[Examination, Examination]) -> list[tuple[str, Samples, Samples]]:
-    """Return the samples of each sensor that both have as many of."""
-    one, other = exams
-    both = (("accel", one.accelerometer, other.accelerometer), ("gyro", one.gyroscope, other.gyroscope))
-    return [(s, a, b) for s, a, b in both if a is not None and b is not None and len(a) == len(b)]
+class BothSensors(Protocol):
+    """What holds the samples of two sensors, a recording or an examination of one."""
+
+    @property
+    def accelerometer(self) -> Samples:
+        """The accelerometer's samples."""
+
+    @property
+    def gyroscope(self) -> Samples | None:
+        """The gyroscope's; None without one."""
+
+
+def shared_streams(one: BothSensors, other: BothSensors) -> dict[str, tuple[Samples, Samples]]:
+    """Return the samples of both by the name of each sensor that both have."""
+    shared = {"accel": (one.accelerometer, other.accelerometer)}
+    if one.gyroscope is not None and other.gyroscope is not None:
+        shared["gyro"] = one.gyroscope, other.gyroscope
+    return shared
+
+
+def sample_by_sample(exams: tuple[Examination, Examination]) -> dict[str, tuple[Samples, Samples]]:
+    """Return the samples of both by sensor, of those that both have as many of."""
+    return {s: both for s, both in shared_streams(*exams).items() if len(both[0]) == len(both[1])}
 
 
 def shakes_both(line: Finding, exams: tuple[Examination, Examination]) -> bool:
     """Whether a vibration that one of the two is told to have is one of the motion that both read."""
-    for sensor, first, second in shared_streams(exams):
-        if sensor == line.sensor:
-            apart = _power(line, first, _less(first, second))
-            return apart < SHARED * min(_power(line, first, one.xyz) for one in (first, second))
-    return False
+    both = sample_by_sample(exams).get(line.sensor)
+    if both is None:
+        return False
+    apart = _power(line, both[0], _less(*both))
+    return apart < SHARED * min(_power(line, both[0], one.xyz) for one in both)
 
 
 def of_the_difference(
@@ -62,19 +79,21 @@ def of_the_difference(
 
     known: Hz, of those that are taken off before. None where they cannot be told.
     """
-    for own, first, second in shared_streams(exams):
-        apart = _less(first, second)
-        if own != sensor or not (apart.std(axis=0) > NOTHING * np.abs(first.xyz).max()).all():
-            continue
-        left = replace(first, xyz=frozen(without_vibrations(apart, first.t, known)))
-        rests = AtRest.of(left, sensor)
-        if rests.coherent is None:
-            return None
-        found = [line for line in tones(left, sensor, rests) if line.effect == LINE]
-        whose = [_power(line, first, first.xyz) > _power(line, first, second.xyz) for line in found]
-        where = [replace(line.where, driver=IN_MOTION) for line in found]
-        return [(replace(line, where=w), bool(o)) for line, w, o in zip(found, where, whose, strict=True)]
-    return None
+    both = sample_by_sample(exams).get(sensor)
+    if both is None:
+        return None
+    first, second = both
+    apart = _less(first, second)
+    if not (apart.std(axis=0) > NOTHING * np.abs(first.xyz).max()).all():
+        return None
+    left = replace(first, xyz=frozen(without_vibrations(apart, first.t, known)))
+    rests = AtRest.of(left, sensor)
+    if rests.coherent is None:
+        return None
+    found = [line for line in tones(left, sensor, rests) if line.effect == TONE]
+    whose = [_power(line, first, first.xyz) > _power(line, first, second.xyz) for line in found]
+    where = [replace(line.where, driver=IN_MOTION) for line in found]
+    return [(replace(line, where=w), bool(o)) for line, w, o in zip(found, where, whose, strict=True)]
 
 
 def _less(first: Samples, second: Samples) -> Array:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, cutoff_quantity
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, shared_streams
-from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, subtract
+from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, cutoff_quantity, of_one_alone
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, sample_by_sample
+from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import Where
@@ -84,7 +84,7 @@ def with_low_passes_in_motion(
     is asked alone: it shows each by itself.
     """
     out = [dict(side) for side in sides]
-    for sensor, first, second in _shared(exams):
+    for sensor, (first, second) in _shared(exams).items():
         key = (LOW_PASS, sensor)
         asked = sensor in sought and not _by_noise([side.get(key) for side in out])
         found = low_pass_in_motion(first, second) if asked else None
@@ -101,16 +101,14 @@ def with_low_passes_in_motion(
 
 def _by_noise(known: Sequence[Quantity | None]) -> bool:
     """Whether the noise of both tells their low-passes: that they differ, or that both are filtered."""
-    own, other = known
-    if own is None or other is None or (own.none and other.none):
-        return False
-    return own.none == other.none or subtract(own, other).log_bayes_factor > CERTAIN_NATS
+    nats = of_one_alone(known)
+    return all(q is not None and not q.none for q in known) if nats is None else nats > CERTAIN_NATS
 
 
-def _shared(exams: tuple[Examination, Examination]) -> list[tuple[str, Samples, Samples]]:
-    """Return the samples of each sensor that both have, and hold at none of them."""
+def _shared(exams: tuple[Examination, Examination]) -> dict[str, tuple[Samples, Samples]]:
+    """Return the samples of both by sensor, of those that neither holds many of."""
     held = {s.sensor for exam in exams for s in exam.streams if s.repeats_many}
-    return [one for one in shared_streams(exams) if one[0] not in held]
+    return {sensor: both for sensor, both in sample_by_sample(exams).items() if sensor not in held}
 
 
 def low_pass_in_motion(first: Samples, second: Samples) -> Followed | None:

@@ -9,13 +9,13 @@ from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION,
 from stillcal.calib_core.diagnosis.comparison.direct import stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.noise import white_noise
 from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differences_of_samples, in_neither
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import LINE, of_the_difference, shakes_both
+from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import of_the_difference, shakes_both
 from stillcal.calib_core.diagnosis.comparison.pair.response import with_low_passes_in_motion
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.noise.lines.line import is_line
+from stillcal.calib_core.diagnosis.noise.lines.line import TONE, is_line
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +75,7 @@ def _lines(
     """Return where rests tell no vibrations and the difference of readings does, and those it tells."""
     looked, found = list[Key](), list[Sole]()
     for one in untold:
-        said = of_the_difference(exams, one.sensor, known.get(one.sensor, ())) if one.effect == LINE else None
+        said = of_the_difference(exams, one.sensor, known.get(one.sensor, ())) if one.effect == TONE else None
         if said is not None:
             looked.append((one.effect, one.sensor))
             found += said

@@ -7,6 +7,9 @@ import numpy as np
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.records import Finding
 
+TONE = "vibration_tone"
+"""Name of a line that is steady."""
+
 COMES_AND_GOES = "a vibration that comes and goes"
 WANDERS = "a vibration whose frequency wanders"
 """Drivers of lines that have no name: a steady sine in their place would be no correction."""
@@ -14,7 +17,7 @@ WANDERS = "a vibration whose frequency wanders"
 
 def is_line(found: Finding) -> bool:
     """Whether a finding is of a line in the spectrum, steady or not."""
-    return found.effect == "vibration_tone" or found.where.driver in (COMES_AND_GOES, WANDERS)
+    return found.effect == TONE or found.where.driver in (COMES_AND_GOES, WANDERS)
 
 
 def amplitude_of(power: Array, spread: Array) -> tuple[Array, Array]:
