@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.axes import Exchange, exchange_of
 from stillcal.calib_core.diagnosis.comparison.compare import compare
 from stillcal.calib_core.diagnosis.comparison.coverage.assumed_drivers import columns_over, course_over
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import OF_DENSITY
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import IN_MOTION
 from stillcal.calib_core.diagnosis.comparison.quantity import posterior
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, Discrepancy
 from stillcal.calib_core.diagnosis.comparison.stated import sole_discrepancy

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import shared_streams
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import shared_streams
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.direct.repeated_values import held_rows
 from stillcal.calib_core.diagnosis.examination import Examination

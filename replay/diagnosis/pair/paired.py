@@ -17,9 +17,12 @@ from stillcal.calib_core.diagnosis.comparison.pair.compare import (
     without_equation,
     without_found,
 )
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
-from stillcal.calib_core.diagnosis.comparison.pair.samples import FoundAlready, compare_samples
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.compare_samples import (
+    FoundAlready,
+    compare_samples,
+)
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import IN_MOTION
 from stillcal.calib_core.diagnosis.comparison.pair.search import examined_in_pair
 from stillcal.calib_core.diagnosis.comparison.pair.stands import (
     with_own_of_simulation,

@@ -10,8 +10,8 @@ import numpy as np
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.comparison.pair.alignment import Readings
 from stillcal.calib_core.diagnosis.comparison.pair.delay import SURE, late
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import shared_streams
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import SHARED, shared_as_it_is
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import shared_streams
 from stillcal.calib_core.diagnosis.model.records import NAME
 from stillcal.calib_core.errors import UserError
 from stillcal.calib_core.streams.resample import read_at, temperature_at

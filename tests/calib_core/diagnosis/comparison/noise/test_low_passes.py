@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import direct_checks
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, of_both, why_not_measured
-from stillcal.calib_core.diagnosis.comparison.pair.samples import compare_samples
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.compare_samples import compare_samples
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured

@@ -10,7 +10,7 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import (
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import (
     IN_MOTION,
     of_the_difference,
     shakes_both,

@@ -7,7 +7,10 @@ import pytest
 from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.pair.response import Followed, low_pass_in_motion
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.low_pass_in_motion import (
+    Followed,
+    low_pass_in_motion,
+)
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE, COUNT = 100.0, 6000

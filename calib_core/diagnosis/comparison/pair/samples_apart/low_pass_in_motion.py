@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.noise.white_noise import LOW_PASS, cutoff_quantity, of_one_alone
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import IN_MOTION, sample_by_sample
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import IN_MOTION, sample_by_sample
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured

@@ -9,8 +9,13 @@ from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import MOTION,
 from stillcal.calib_core.diagnosis.comparison.direct import stamp_quantities
 from stillcal.calib_core.diagnosis.comparison.noise import white_noise
 from stillcal.calib_core.diagnosis.comparison.of_samples import Reasons, differences_of_samples, in_neither
-from stillcal.calib_core.diagnosis.comparison.pair.lines_apart import of_the_difference, shakes_both
-from stillcal.calib_core.diagnosis.comparison.pair.response import with_low_passes_in_motion
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.low_pass_in_motion import (
+    with_low_passes_in_motion,
+)
+from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import (
+    of_the_difference,
+    shakes_both,
+)
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, subtract, weighed
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told

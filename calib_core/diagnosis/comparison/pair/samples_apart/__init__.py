@@ -1,0 +1,1 @@
+"""What single samples of two recordings of one motion show: values, noise, low-passes and vibrations."""
