@@ -120,7 +120,9 @@ def answer_of(
             *(_agreed(d.recorded) for d in before.agreed),
             *(_agreed(c.quantity) | {"note": c.note} for c in before.common),
         ],
-        "not_compared": [_not_compared(n) for n in (*before.not_compared, *before.undecided)],
+        "not_compared": [
+            _not_compared(n) for n in (*before.not_compared, *before.undecided, *before.on_some_axes())
+        ],
         "checks": {"made": before.comparisons, "of": before.comparisons + len(before.not_compared)},
         "sensitivity": [_smallest(s) for s in before.smallest],
         "fit": fit.plain(),
@@ -151,6 +153,7 @@ def _smallest(one: Smallest) -> dict[str, Any]:
         "unit": one.unit,
     }
     out |= {"reference": one.reference} if one.reference else {}
+    out |= {"not_on": list(one.hidden)} if one.hidden else {}
     return out | ({"reason": one.reason} if one.reason else {})
 
 

@@ -262,7 +262,11 @@ def _of_both(looked: Sequence[_LookedFor], key: Key) -> list[Smallest]:
     """Return the smallest difference that shows: each recording hides as much as it alone would."""
     other = {row.parameter: row for row in looked[1].sought.get(key, ())}
     return [
-        replace(row, value=float(np.hypot(row.value, other[row.parameter].value)))
+        replace(
+            row,
+            value=float(np.hypot(row.value, other[row.parameter].value)),
+            hidden=tuple(sorted({*row.hidden, *other[row.parameter].hidden})),
+        )
         for row in looked[0].sought[key]
         if row.parameter in other
     ]

@@ -116,6 +116,23 @@ class Comparison:
             [*self.common, *other.common],
         )
 
+    def on_some_axes(self) -> list[NotCompared]:
+        """Return what was looked for on some axes and does not show on the others, and found on none.
+
+        It does not show on an axis if none of its parameters does.
+        """
+        hidden: dict[tuple[str, str], set[str]] = {}
+        for row in self.smallest:
+            hidden.setdefault((row.effect, row.sensor), set(row.hidden)).intersection_update(row.hidden)
+        told = {(d.effect, d.sensor) for d in self.discrepancies}
+        return [
+            NotCompared(
+                *key, f"not on {' or '.join(sorted(axes))}: the attitudes and turns do not show it there"
+            )
+            for key, axes in hidden.items()
+            if axes and key not in told
+        ]
+
     def p(self, left_out: Collection[str] = ()) -> float:
         """Return a bound of p of no difference at all. left_out: effects that do not count."""
         return p_of([nats for effect, nats in self.evidence if effect not in left_out])

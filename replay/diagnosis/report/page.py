@@ -317,6 +317,7 @@ def _sensitivity(answer: Mapping[str, Any]) -> Iterator[str]:
         at = "".join(f" ({k.removesuffix('_s')} {moment(v)})" for k, v in s.get("reference", {}).items())
         what = capital(noun(s["effect"], s["sensor"]))
         size = f"{plain(s['smallest_seen_90'] * factor)} {unit}"
+        size += f", not on {' or '.join(s['not_on'])}" if "not_on" in s else ""
         size = f"not shown: {s['reason']}" if "reason" in s else size
         rows.append((escape(what), escape(parameter_noun(s["parameter"]) + at), escape(size)))
     yield tables.table(("effect", "parameter", "smallest size"), rows)

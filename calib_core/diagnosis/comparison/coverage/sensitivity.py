@@ -9,8 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear.wanted import kind_of
@@ -32,6 +34,7 @@ from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect, Linear
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import NINE_IN_TEN
+from stillcal.calib_core.diagnosis.model.records import AXES
 from stillcal.calib_core.diagnosis.slow.statement import Stated
 
 SMALLEST, LARGEST, HALVINGS = 1e-9, 4.0, 12
@@ -52,7 +55,8 @@ class Smallest:
     """The smallest value of a parameter, on one axis, that is found nine times in ten, in `unit`.
 
     reference: the time constant or moment it is stated for, where the effect has one. reason: why the effect
-    is hardly shown at all; "" where it is.
+    is hardly shown at all; "" where it is. hidden: the axes on which it does not show, such as those that lie
+    across gravity in every rest, where a support that gives way does the same.
     """
 
     effect: str
@@ -62,6 +66,7 @@ class Smallest:
     unit: str
     reference: dict[str, float] = field(default_factory=dict)
     reason: str = ""
+    hidden: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +171,8 @@ def _sought(reduced: Sequence[Reduced], index: int, hypothesis: Hypothesis) -> S
             needed_size = half + NINE_IN_TEN * sigma[worst]
             if needed_size <= ONE_IN_TEN:
                 size = float(needed_size * hypothesis.sizes[worst])
-                smallest.append(_smallest(hypothesis, parameter, size))
+                hidden = hidden_axes(hypothesis.axis_of[rows], informed[rows])
+                smallest.append(_smallest(hypothesis, parameter, size, hidden))
             else:
                 hardly = True
     return Sought(effect.name, effect.sensor, evidence, tuple(smallest), effect.follows, hardly)
@@ -276,10 +282,19 @@ def _gain(reduced: Sequence[Reduced], index: int, beta: Array, added: Array, wit
     return without - 0.5 * float(added @ added) - float(np.mean(with_it))
 
 
-def _smallest(hypothesis: Hypothesis, parameter: Linear, size: float) -> Smallest:
+def _smallest(hypothesis: Hypothesis, parameter: Linear, size: float, hidden: tuple[str, ...]) -> Smallest:
     effect = hypothesis.effect
     at = {k: v for k, v in hypothesis.grid.items() if k in effect.grid_units}
-    return Smallest(effect.name, effect.sensor, parameter.name, size, parameter.unit, at)
+    return Smallest(effect.name, effect.sensor, parameter.name, size, parameter.unit, at, hidden=hidden)
+
+
+def hidden_axes(axis_of: NDArray[Any], shown: NDArray[np.bool_]) -> tuple[str, ...]:
+    """Return the names of the axes on which none of a parameter's numbers is shown.
+
+    axis_of: (k,) each number's axis, below 0 for none. shown: (k,) whether it is.
+    """
+    hidden = np.setdiff1d(axis_of[axis_of >= 0], axis_of[shown])
+    return tuple(AXES[int(a)] for a in hidden)
 
 
 def each_once(rows: Sequence[Smallest]) -> tuple[Smallest, ...]:
@@ -306,5 +321,6 @@ def of_difference(difference: Difference, comparisons: int) -> list[Smallest]:
         first += part.count
         if shown[rows].any():
             size = float(least[rows][shown[rows]].max())
-            out.append(Smallest(recorded.effect, recorded.sensor, part.name, size, part.unit))
+            hidden = () if recorded.logarithmic else hidden_axes(recorded.axis_of[rows], shown[rows])
+            out.append(Smallest(recorded.effect, recorded.sensor, part.name, size, part.unit, hidden=hidden))
     return out

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.diagnosis.comparison.coverage.sensitivity import sought
+from stillcal.calib_core.diagnosis.comparison.records import Comparison
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Claims
@@ -84,3 +85,33 @@ def test_what_a_recording_could_be_asked_for_is_worked_out_once_and_anew_where_i
     once = sought(exam)
     assert sought(exam) is once and once
     assert sought(replace(exam, sensors=[])) == []
+
+
+def test_an_axis_across_gravity_in_every_rest_is_said_not_to_show_what_its_support_does_too() -> None:
+    """Three long rests about x, which warm as a support gives way; y and z are along gravity in turn."""
+    tilt, per = np.array([0.0, 0.6, -0.9]), 60
+    up = np.column_stack([np.zeros(3), np.sin(tilt), np.cos(tilt)])
+    rest, t = np.repeat(np.arange(3), per), 10.0 * np.arange(3 * per) + 5.0
+    rng = np.random.default_rng(4)
+    lying = Bins(
+        t=t,
+        duration=np.full(t.size, 10.0),
+        rest=rest,
+        force=G * up[rest] + rng.normal(0.0, 1e-3, (t.size, 3)),
+        force_variance=np.full((t.size, 3), 1e-6),
+        vibration=np.ones(t.size),
+        activity=np.stack([t, np.zeros(t.size)], axis=1),
+        span=(0.0, float(t[-1] + 5.0)),
+        temperature=45.0 - 20.0 * np.exp(-t / 500.0),
+    )
+    residuals = by_sensor(lying, G)[0]
+    none = Samples.checked(Sensor.ACCELEROMETER, np.empty(0), np.empty((0, 3)))
+    exam = Examination(none, None, Claims(), lying, [], [residuals], None, None, [])
+    rows = [row for one in sought(exam) for row in one.smallest]
+    slope = next(r for r in rows if (r.effect, r.parameter) == ("accel_bias_temperature", "slope"))
+    assert slope.hidden == ("x",)
+    told = Comparison(smallest=rows).on_some_axes()
+    reason = "not on x: the attitudes and turns do not show it there"
+    assert ("accel_bias_temperature", reason) in {(one.effect, one.reason) for one in told}
+    everywhere = [row for one in sought(examined(rests(1))) for row in one.smallest]
+    assert Comparison(smallest=everywhere).on_some_axes() == []
