@@ -92,7 +92,7 @@ class _Pair:
         """Return what is known before their motion is compared. unsure: s, what low-passes delay."""
         still = self.exams[1].bins.rate
         at_rest = None if still is None or not len(still) else np.median(still, axis=0)
-        return KnownBefore(unsure, at_rest, rounding(self.exams))
+        return KnownBefore(unsure, at_rest, rounding(self.exams), noise_at_rest(self.exams[1]))
 
 
 def judge_paired(recording: Recording, simulation: Recording, show_stage: ShowStage = silent) -> Judged:
@@ -200,3 +200,9 @@ def rounding(exams: Sequence[Examination]) -> dict[str, Array]:
     for stream in (s for exam in exams for s in exam.streams):
         out[stream.sensor] = np.hypot(out.get(stream.sensor, np.zeros(3)), stream.steps.left_in_mean())
     return out
+
+
+def noise_at_rest(exam: Examination) -> dict[str, Array]:
+    """Return, by sensor, the variance (3,) of what a recording reads at rest; none where nothing is."""
+    pieces = {s.sensor: s.still.pieces for s in exam.streams if s.still.pieces}
+    return {sensor: np.mean([p.var(axis=0) for p in own], axis=0) for sensor, own in pieces.items()}

@@ -50,11 +50,13 @@ class KnownBefore:
     unsure: s, a standard error that a delay between the sensors has besides, since low-passes were played.
     at_rest: (3,) rad/s, what the other gyroscope reads where nothing turns, which drives no effect; None
     where that is not known. rounding: sd (3,) of what coarse steps of both leave in a mean, by sensor.
+    noise: variance (3,) of what the other reads at rest, by sensor.
     """
 
     unsure: float = 0.0
     at_rest: Array | None = None
     rounding: Mapping[str, Array] = field(default_factory=dict)
+    noise: Mapping[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,12 +127,14 @@ def _with_effects(
     reads = true.force if of_force else true.rate
     assert reads is not None, "where a delay was measured there are readings"
     drivers = _drivers(own, _turning(true, known.at_rest))
-    turns = Turns(own, reads, seen.pieces, drivers, filtered=known.unsure > 0.0)
+    name = "accel" if of_force else "gyro"
+    noise = known.noise.get(name, np.zeros(3))
+    turns = Turns(own, reads, seen.pieces, drivers, filtered=known.unsure > 0.0, noise=noise)
     span = float(own.t[0]), float(own.t[-1])
     every = [Arm()] if of_force else effects_of("gyro", in_turns=True)
     # Linear in all that they have: nothing but numbers is fitted to samples, and no moment is looked for.
     effects = [e for e in every if list(e.points(drivers)) == [{}]]
-    least = known.rounding.get("accel" if of_force else "gyro", np.zeros(3))
+    least = known.rounding.get(name, np.zeros(3))
     found = turns.shown(effects)
     clear = [one for one in found if turns.exceeds(one, least)]
     small = {one.effect.key for one in found if one not in clear}

@@ -24,7 +24,7 @@ from stillcal.calib_core.diagnosis.model.records import AXES, SLOW_BAND, Finding
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, Regression, of_arm
 from stillcal.calib_core.diagnosis.slow.estimate import Estimate, parameters
 from stillcal.calib_core.diagnosis.slow.statement import named_axes
-from stillcal.calib_core.streams.samples import Samples
+from stillcal.calib_core.streams.samples import Samples, Sensor
 
 ALIKE = 0.01
 """Part of an effect's physical size by which two sensors may differ and nothing is wrong, one standard
@@ -99,7 +99,8 @@ class InTurns:
 class Turns:
     """Where one sensor's readings change most: what both read there, and what drives effects.
 
-    filtered: whether low-passes were played, for one of the two has them.
+    filtered: whether low-passes were played, for one of the two has them. noise: variance (3,) of the noise
+    of what the other reads.
     """
 
     own: Samples
@@ -107,6 +108,7 @@ class Turns:
     pieces: list[slice]
     drivers: Moments
     filtered: bool
+    noise: Array
 
     def shown(self, effects: Sequence[Effect]) -> list[InTurns]:
         """Return the effects that predict left-out pieces best, one by one, each beside the others.
@@ -138,28 +140,62 @@ class Turns:
         return bool(size.max() > least[np.argmax(size)])
 
     def _fitted(self, effect: Effect, others: Sequence[Effect]) -> InTurns:
-        """Fit an effect beside scale, delay and `others`; its evidence is that against these alone."""
+        """Fit an effect beside scale, delay and `others`; its evidence is that against these alone.
+
+        What the other sensor's noise makes of it is taken off, and is itself as unsure as it is large.
+        """
         sums = self._equations([*others, effect])
         value, covariance, _ = sums.jackknifed(PARTS)
         sizes = np.concatenate([np.full(p.count, p.size) for p in effect.parameters])
         k = sizes.size
-        x, own = value[-k:], covariance[-k:, -k:]
+        of_noise = value - self._equations([*others, effect], np.zeros(3)).fitted()
+        x, own = value[-k:], covariance[-k:, -k:] + np.diag(of_noise[-k:] ** 2)
         within = own + np.diag((ALIKE * sizes) ** 2)
         held_out = sums.held_out(np.arange(value.size) < value.size - k)
         return InTurns(effect, x, own, DirectEvidence(of_chance(sums.log_chance(x, within)), held_out))
 
-    def _equations(self, effects: Sequence[Effect]) -> Regression:
-        """Return the normal equations of gains, one delay and effects."""
+    def _equations(self, effects: Sequence[Effect], noise: Array | None = None) -> Regression:
+        """Return the normal equations of gains, one delay and effects. noise: (3,), `noise` by default."""
 
         def response(rows: slice) -> Array:
-            return np.concatenate([e.response(self.drivers.during(rows), {}) for e in effects], axis=2)
+            return self._response(effects, self.drivers.during(rows))
 
         sums = linear_in_motion(self.own, self.reads, self.pieces, response if effects else None)
+        of_noise = self._of_noise(effects, self.noise if noise is None else noise)
+        sums = replace(sums, target=sums.target + of_noise)
         more = sums.target.shape[1] - len(COMMON)
         mixed = np.zeros((len(COMMON) + more, COMMON.shape[1] + more))
         mixed[: len(COMMON), : COMMON.shape[1]] = COMMON
         mixed[len(COMMON) :, COMMON.shape[1] :] = np.eye(more)
         return sums.through(mixed)
+
+    def _response(self, effects: Sequence[Effect], moments: Moments) -> Array:
+        """Return what effects do at some moments, (n, 3, k)."""
+        return np.concatenate([e.response(moments, {}) for e in effects], axis=2)
+
+    def _of_noise(self, effects: Sequence[Effect], noise: Array) -> Array:
+        """Return what the other sensor's noise takes off the targets of `linear_in_motion`, (K, 12 + k).
+
+        The noise n is in what drives a column f, and its opposite in what the columns explain. The mean of
+        f(x + n) n is the variance of n times the mean slope of f, where n is normal (Stein's lemma). Where an
+        axis turns in one direction only, nothing but noise parts the size of its rate from the rate.
+        """
+        out = np.zeros((len(self.pieces), 12 + sum(p.count for e in effects for p in e.parameters)))
+        for made, piece in zip(out, self.pieces, strict=True):
+            made[:9] = (piece.stop - piece.start) * np.diag(noise).ravel()
+            moments = self.drivers.during(piece)
+            if moments.rate is None or self.own.sensor is Sensor.ACCELEROMETER:
+                continue
+            for axis in np.flatnonzero(noise) if effects else ():
+                step = np.sqrt(noise[axis]) * np.eye(3)[axis]
+                up, down = (
+                    self._response(effects, replace(moments, rate=moments.rate + sign * step))[:, axis].sum(
+                        axis=0
+                    )
+                    for sign in (1.0, -1.0)
+                )
+                made[12:] += noise[axis] * (up - down) / (2.0 * step[axis])
+        return out
 
     def _explained(self, effects: Sequence[Effect]) -> float:
         """Return the part that effects explain of what scale, delay and white noise do not."""

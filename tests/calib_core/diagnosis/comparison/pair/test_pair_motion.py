@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.inference.likelihood import Fit, fit_hypothes
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.slow.search import reduce_residuals
 from stillcal.replay.diagnosis.judged import examined
-from stillcal.replay.diagnosis.pair.paired import rounding
+from stillcal.replay.diagnosis.pair.paired import noise_at_rest, rounding
 from stillcal.replay.diagnosis.pair.readings import less, mean_readings
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, REST, Flaw, perfect, turned
@@ -119,6 +119,12 @@ def test_what_coarse_steps_leave_of_a_motion_is_no_difference_of_the_sensors() -
     for known, stated in ((steps, False), (None, True)):
         (accel, _) = pair_residuals(apart, true, [], 0.0, rounding=known)[1]
         assert (judged(accel).finding(accel) is not None) is stated
+
+
+def test_the_noise_of_what_stands_for_the_true_input_is_that_of_its_rests() -> None:
+    known = noise_at_rest(examined(turned(1), sought=()))
+    assert known["accel"] == pytest.approx(np.full(3, 0.008**2), rel=0.1)
+    assert known["gyro"] == pytest.approx(np.full(3, 5e-4**2), rel=0.1)
 
 
 def test_more_than_coarse_steps_leave_is_found_on_its_axes() -> None:

@@ -14,11 +14,13 @@ from stillcal.replay.diagnosis.pair.readings import mean_readings, readings_of
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, Flaw, perfect, turned
 
+NOISE = KnownBefore(noise={"accel": np.full(3, 0.008**2), "gyro": np.full(3, 5e-4**2)})
+
 
 def seen(flaw: Flaw = perfect, seed: int = 1) -> Alignment:
     """Return what a flawed device shows in motion beside one without a flaw."""
     own = turned(seed, flaw)
-    return align(readings_of(own), mean_readings(own, [turned(100 + seed)]))
+    return align(readings_of(own), mean_readings(own, [turned(100 + seed)]), NOISE)
 
 
 def squared(force: Array, rate: Array) -> tuple[Array, Array]:
@@ -102,6 +104,16 @@ def test_what_motion_dithers_of_coarse_steps_is_no_effect_of_turns(gain: float, 
     shown = align(readings_of(own), mean, KnownBefore(rounding={"gyro": np.full(3, step / np.sqrt(6.0))}))
     assert len(shown.found) == told
     assert list(shown.hidden) == ([] if told else [("unknown", "gyro")])
+
+
+def test_where_all_turns_are_in_one_direction_noise_is_no_gain_by_direction() -> None:
+    """What parted the size of a rate from the rate was noise: a gain of 64 %, and a scale that undid it."""
+
+    def one_way(force: Array, rate: Array) -> tuple[Array, Array]:
+        return force, np.column_stack([rate[:, 0], np.abs(rate[:, 1]), rate[:, 2]])
+
+    own = turned(1, one_way)
+    assert align(readings_of(own), mean_readings(own, [turned(101, one_way)]), NOISE).found == []
 
 
 def test_a_bias_of_both_gyroscopes_makes_no_square_of_a_cube() -> None:
