@@ -20,7 +20,7 @@ from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, sub
 from stillcal.calib_core.diagnosis.comparison.records import Comparison, NotCompared
 from stillcal.calib_core.diagnosis.comparison.stated import Sole, concluded, key_of, told
 from stillcal.calib_core.diagnosis.examination import Examination
-from stillcal.calib_core.diagnosis.noise.lines.line import TONE, is_line
+from stillcal.calib_core.diagnosis.noise.lines.line import TONE, is_line, middle_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +62,10 @@ def compare_samples(
     missing = [n for n in missing if _is_compared((n.effect, n.sensor))]
     missing += [_missing(key, sides, exams, names) for key in keys if key not in both]
     neither, not_both = in_neither(reasons, told(pairs, alone, missing), names)
-    looked, found = _lines(not_both, exams, known.lines)
+    looked, found, unsure = _lines(not_both, exams, names, known.lines)
     alone += found
     neither += looked
-    not_both = [n for n in not_both if (n.effect, n.sensor) not in looked]
+    not_both = [n for n in not_both if (n.effect, n.sensor) not in looked] + unsure
     count = len(pairs) + len(alone) + len(neither)
     among = max(count + beside, 1)
     pairs = weighed(pairs, among)
@@ -75,16 +75,22 @@ def compare_samples(
 def _lines(
     untold: Sequence[NotCompared],
     exams: tuple[Examination, Examination],
+    names: tuple[str, str],
     known: Mapping[str, Sequence[float]],
-) -> tuple[list[Key], list[Sole]]:
-    """Return where rests tell no vibrations and the difference of readings does, and those it tells."""
-    looked, found = list[Key](), list[Sole]()
+) -> tuple[list[Key], list[Sole], list[NotCompared]]:
+    """Return where rests tell no vibrations and the readings apart do, those of one, and those of both."""
+    looked, found, unsure = list[Key](), list[Sole](), list[NotCompared]()
     for one in untold:
         said = of_the_difference(exams, one.sensor, known.get(one.sensor, ())) if one.effect == TONE else None
-        if said is not None:
-            looked.append((one.effect, one.sensor))
-            found += said
-    return looked, found
+        if said is None:
+            continue
+        alone, of_both = said
+        looked.append((one.effect, one.sensor))
+        found += alone
+        for line in of_both:
+            why = f"{' and '.join(names)} both read one of {middle_hz(line):.4g} Hz, of another size or phase"
+            unsure.append(NotCompared(TONE, one.sensor, f"{why}: whether motion makes it is not known"))
+    return looked, found, unsure
 
 
 def _is_compared(key: Key) -> bool:

@@ -35,7 +35,7 @@ OWN, AROUND = 2, 8
 """Frequencies on either side of a line that have its power, and that have none of it."""
 
 SHARED = 0.25
-"""Part of a vibration's power below which what one reads less the other has none of it: half of its size."""
+"""Part of a vibration's power below which there is none of it: half of its size."""
 
 
 class BothSensors(Protocol):
@@ -74,10 +74,12 @@ def shakes_both(line: Finding, exams: tuple[Examination, Examination]) -> bool:
 
 def of_the_difference(
     exams: tuple[Examination, Examination], sensor: str, known: Sequence[float]
-) -> list[Sole] | None:
+) -> tuple[list[Sole], list[Finding]] | None:
     """Return the steady vibrations of a sensor in what one reads less the other, with whose they are.
 
-    known: Hz, of those that are taken off before. None where they cannot be told.
+    Those that both read are returned beside them: they have another phase or size in the other, or one of the
+    two reads a vibration of the motion late or behind a filter. known: Hz, of those that are taken off
+    before. None where they cannot be told.
     """
     both = sample_by_sample(exams).get(sensor)
     if both is None:
@@ -90,10 +92,17 @@ def of_the_difference(
     rests = AtRest.of(left, sensor)
     if rests.coherent is None:
         return None
-    found = [line for line in tones(left, sensor, rests) if line.effect == TONE]
-    whose = [_power(line, first, first.xyz) > _power(line, first, second.xyz) for line in found]
-    where = [replace(line.where, driver=IN_MOTION) for line in found]
-    return [(replace(line, where=w), bool(o)) for line, w, o in zip(found, where, whose, strict=True)]
+    alone, of_both = list[Sole](), list[Finding]()
+    for line in tones(left, sensor, rests):
+        if line.effect != TONE:
+            continue
+        told = replace(line, where=replace(line.where, driver=IN_MOTION))
+        own, other, less = (_power(line, first, xyz, np.inf) for xyz in (first.xyz, second.xyz, apart))
+        if min(own, other) > SHARED * min(less, max(own, other)):
+            of_both.append(told)
+        else:
+            alone.append((told, own > other))
+    return alone, of_both
 
 
 def _less(first: Samples, second: Samples) -> Array:
@@ -102,11 +111,14 @@ def _less(first: Samples, second: Samples) -> Array:
     return np.asarray(first.xyz - columns @ np.linalg.lstsq(columns, first.xyz, rcond=None)[0])
 
 
-def _power(line: Finding, samples: Samples, xyz: Array) -> float:
-    """Return the power of a line, while it lasts, above what is about it. xyz: (n, 3), at the stamps."""
+def _power(line: Finding, samples: Samples, xyz: Array, stretch: float = STRETCH) -> float:
+    """Return the power of a line, while it lasts, above what is about it. xyz: (n, 3), at the stamps.
+
+    stretch: s, the longer it is the less of motion is about a line that keeps its phase.
+    """
     period = sample_period(samples.t)
     rows = (samples.t >= line.where.t_start) & (samples.t <= line.where.t_end)
-    size = min(round(STRETCH / period), int(rows.sum()))
+    size = int(min(stretch / period, float(rows.sum())))
     if size <= 2 * AROUND:
         return 0.0
     cut = xyz[rows][: rows.sum() // size * size].reshape(-1, size, 3)
