@@ -33,6 +33,7 @@ from stillcal.calib_core.diagnosis.segments.windows import (
     without_gaps,
     without_spikes,
 )
+from stillcal.calib_core.maths.robust import MAD_TO_SD
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.calib_core.streams.time_series import TimeSeries
@@ -47,6 +48,9 @@ PERSISTENT = 3.0
 
 TURNED = 0.5
 """Part of what a gyroscope reads within a rest, from which it is the device that turns and not its noise."""
+
+BEYOND_CHANCE = 3.0
+"""Standard errors beyond which a part that comes about is none by chance."""
 
 NEAR_BINS = 5
 """Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
@@ -329,7 +333,8 @@ def _breathes(force: Array, rate: Array, first: Array, last: Array, width: float
     """Whether most of what a gyroscope reads about its mean of a rest turns gravity, as a breath does.
 
     From window to window, `width` s apart, the force changes by force x rate (n, 3). The median over bins of
-    the part of it that comes about is 1 for a turn and 0 for a gyroscope's noise.
+    the part of it that comes about is 1 for a turn and 0 for a gyroscope's noise. Beside a noisy
+    accelerometer what a quiet gyroscope reads comes about by chance: the median has to be beyond that.
     """
     bins = [(a, b) for a, b in zip(first.astype(int), last.astype(int), strict=True) if b - a >= BRIEFEST_BIN]
     parts = []
@@ -338,7 +343,12 @@ def _breathes(force: Array, rate: Array, first: Array, last: Array, width: float
         middle = 0.5 * (force[a : b - 1] + force[a + 1 : b])
         turned = np.cross(middle, 0.5 * (own[1:] + own[:-1])) * width
         parts.append(float((turned * np.diff(force[a:b], axis=0)).sum() / max((turned**2).sum(), 1e-300)))
-    return bool(parts) and float(np.median(parts)) > TURNED
+    if not parts:
+        return False
+    median = float(np.median(parts))
+    scatter = MAD_TO_SD * float(np.median(np.abs(np.array(parts) - median)))
+    error = float(np.sqrt(0.5 * np.pi / len(parts))) * scatter
+    return median > max(TURNED, BEYOND_CHANCE * error)
 
 
 def _swings(force: Array, rate: Array, first: Array, last: Array, rest: Index) -> bool:
