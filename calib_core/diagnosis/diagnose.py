@@ -29,7 +29,7 @@ from stillcal.calib_core.diagnosis.model.sensor_residuals import by_sensor
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, sound_phones
 from stillcal.calib_core.diagnosis.motion.group_delay import FilterDelay
 from stillcal.calib_core.diagnosis.motion.time_offset import Shown, shown_in_motion
-from stillcal.calib_core.diagnosis.motion.turning_windows import Span
+from stillcal.calib_core.diagnosis.motion.turning_windows import RateNoise, Span
 from stillcal.calib_core.diagnosis.motion.unseen_tilt import unseen_tilt
 from stillcal.calib_core.diagnosis.noise.coloured_noise import is_end_of_wander
 from stillcal.calib_core.diagnosis.noise.lines.line import WANDERS, middle_hz
@@ -278,6 +278,7 @@ def _with_motion(
             force, rate, affine, gravity, sound["time_offset"],
             spoiled=[*exam.spoiled, *exam.on_limits], filters=filters,
             untold=[s.sensor for s in exam.streams if s.hides_filter],
+            noise=_rate_noise(exam.streams),
         )  # fmt: skip
     else:
         motion = Shown([], why_none=OTHER_AXES)
@@ -298,6 +299,12 @@ def _with_motion(
         delay=motion.delay,
         why_no_delay=motion.why_none,
     )
+
+
+def _rate_noise(streams: Sequence[Stream]) -> RateNoise | None:
+    """Return the gyroscope's noise in the typical rest; None where rests do not show it."""
+    found = next((s.spectra for s in streams if s.sensor == "gyro"), None)
+    return None if found is None else RateNoise.of(found.f, found.power)
 
 
 def _without_lines(streams: Sequence[Stream], *sensors: Samples) -> list[Samples]:

@@ -19,7 +19,7 @@ from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
 from stillcal.calib_core.diagnosis.motion.delay_fit import Fit, drawn, fitted, summed
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY, FilterDelay
 from stillcal.calib_core.diagnosis.motion.lever_arm import lever_arm
-from stillcal.calib_core.diagnosis.motion.turning_windows import LONGEST, WINDOW, Motion, Span
+from stillcal.calib_core.diagnosis.motion.turning_windows import LONGEST, WINDOW, Motion, RateNoise, Span
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples
@@ -64,6 +64,7 @@ def shown_in_motion(
     spoiled: Sequence[Span] = (),
     filters: FilterDelay | None = None,
     untold: Collection[str] = (),
+    noise: RateNoise | None = None,
 ) -> Shown:
     """Return what motion shows; nothing where there is too little.
 
@@ -74,7 +75,7 @@ def shown_in_motion(
         return Shown([])
     if bunched(accelerometer.t) or bunched(gyroscope.t):
         return Shown([], why_none=DELIVERED)
-    motion = Motion.of(accelerometer, gyroscope, affine, gravity, spoiled)
+    motion = Motion.of(accelerometer, gyroscope, affine, gravity, spoiled, noise=noise)
     if len(motion.windows) < LEAST_WINDOWS:
         return Shown([])
     interval = sample_period(gyroscope.t)

@@ -41,6 +41,10 @@ SMOOTHED = 1.25
 HIGHEST = 0.3
 """Part of the sample rate that is looked at."""
 
+MOSTLY = 0.8
+"""Part of an arm's or a delay's columns that is motion, below which a frequency is left out. Noise that
+chance makes larger than it is, or that a simulation adds once more to what was recorded, stays below."""
+
 LONGEST = 0.2
 """s: the longest delay between the sensors that is looked for."""
 
@@ -49,23 +53,56 @@ Span = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class RateNoise:
+    """A gyroscope's noise at rest: power (F, 3), (rad/s)^2/Hz, one-sided, at frequencies f (F,) Hz."""
+
+    f: Array
+    power: Array
+
+    @classmethod
+    def of(cls, f: Array, power: Array) -> RateNoise:
+        """Return that of the typical rest. power: (rests, F, 3), of which a single frequency tells little."""
+        return cls(f, np.median(np.apply_along_axis(smoothed, 1, power), axis=0))
+
+    def at(self, frequency: Array, mapping: Array) -> Array:
+        """Return the power (n, 3) at frequencies (n,) of rates that a matrix (3, 3) mixes, calibrated."""
+        each = [np.interp(frequency, self.f, p) for p in self.power.T]
+        return np.asarray(np.stack(each, axis=1) @ (mapping**2).T)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Window:
     """Some seconds in which a phone turns: stamps t (n,) s and calibrated rate (n, 3), rad/s.
 
     back: (n, 3, 3), turns the body to where it was at first. arm: what an arm does, turned back, (f, 3, 3).
+    moves: (f,), which part of the rate is motion and not noise.
     """
 
     t: Array
     rate: Array
     back: Array
     arm: Spectrum
+    moves: Array
 
     @classmethod
-    def of(cls, t: Array, rate: Array) -> Window:
-        """Carry the attitude through the window."""
-        back = matrix(attitudes(t, rate))
-        arm = spectrum(back @ of_arm(t, rate))
-        return cls(t, rate, back, arm * _part_of_motion(arm, t, rate)[:, None, :])
+    def of(cls, t: Array, rate: Array, mapping: Array, noise: RateNoise | None = None) -> Window:
+        """Carry the attitude through the window. rate: (n, 3), less its bias; `mapping` calibrates it.
+
+        noise: as read at rest, None where rests do not show it.
+        """
+        true = rate @ mapping.T
+        back = matrix(attitudes(t, true))
+        arm, turning = spectrum(back @ of_arm(t, true)), spectrum(true)
+        frequency = np.arange(len(arm)) / (_interval(t) * len(t))
+        at_rest = np.zeros((len(arm), 3)) if noise is None else noise.at(frequency, mapping)
+        power = _noise_power(t, true, at_rest)
+        moves = _part_of_motion((np.abs(turning) ** 2).sum(axis=1), power.sum(axis=1))
+        slope = slope_power(2.0 * np.pi * frequency * _interval(t)) / _interval(t) ** 2
+        # Each column has the derivatives of the two other axes.
+        others = slope[:, None] * (power.sum(axis=1)[:, None] - power)
+        columns = zip((np.abs(arm) ** 2).sum(axis=1).T, others.T, strict=True)
+        part = np.stack([_part_of_motion(*each) for each in columns], axis=1)
+        return cls(t, true, back, arm * part[:, None, :], moves)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,12 +127,14 @@ class Motion:
         affine: Aligned | None,
         gravity: float,
         spoiled: Sequence[Span],
+        *,
+        noise: RateNoise | None = None,
     ) -> Motion:
-        """Cut the windows in which both sensors were recorded; spoiled: when not to look."""
+        """Cut the windows in which both sensors were recorded; spoiled: when not to look; noise: of rates."""
         windows = turning_windows(gyroscope, affine, spoiled)
         cut = [w for w in windows if _covered(w[0], accelerometer.t)]
         mapping = np.eye(3) if affine is None else affine.mapping
-        parts = [Window.of(t, rate @ mapping.T) for t, rate in cut]
+        parts = [Window.of(t, rate, mapping, noise) for t, rate in cut]
         return cls(accelerometer, affine, parts, gravity)
 
     def span(self) -> tuple[float, float]:
@@ -113,14 +152,15 @@ class Motion:
         Both are spectra of what is turned back to the window's start, free of gravity and of what grows
         steadily. The accelerometer is read earlier by a delay that grows, s.
         """
-        every = [(w.t, w.rate, w.back, w.arm) for w in self.windows]
-        t, rate, back, arm = (np.stack(each) for each in zip(*every, strict=True))
+        every = [(w.t, w.rate, w.back, w.arm, w.moves) for w in self.windows]
+        t, rate, back, arm, moves = (np.stack(each) for each in zip(*every, strict=True))
         times = t - (delay + growth * self.age())[:, None]
         force = force_at(self.accelerometer, self.baseline, times.ravel()).reshape(rate.shape)
         still, up = felt(back, force)
         late = -self.gravity * np.cross(rate, np.einsum("knji,kj->kni", back, up))
         turned = np.einsum("knij,knj->kni", back, late)
         by_delay, left = (spectrum(x.swapaxes(0, 1)).swapaxes(0, 1) for x in (turned, still))
+        by_delay *= moves[:, :, None]
         return list(np.concatenate([arm, by_delay[..., None]], axis=3)), list(left)
 
     def of_axes(self) -> list[Spectrum]:
@@ -128,7 +168,8 @@ class Motion:
         made = []
         for w in self.windows:
             _, up = felt(w.back, force_at(self.accelerometer, self.baseline, w.t))
-            made.append(spectrum(axis_columns(w.t, w.back, w.rate, up, self.gravity)))
+            columns = spectrum(axis_columns(w.t, w.back, w.rate, up, self.gravity))
+            made.append(columns * w.moves[:, None, None])
         return made
 
     def of_errors(self, delay: float) -> list[Spectrum] | None:
@@ -146,22 +187,28 @@ class Motion:
         return made
 
 
-def _part_of_motion(arm: Spectrum, t: Array, rate: Array) -> Array:
-    """Return by frequency (f, 3) which part of an arm's columns is motion, and not the gyroscope's noise.
+def _noise_power(t: Array, rate: Array, at_rest: Array) -> Array:
+    """Return the power (f, 3) that a gyroscope's noise has in the spectrum of a window's rate (n, 3).
 
-    They are made of the rate's derivative, in which white noise grows with frequency. Columns with noise make
-    an arm seem shorter; what is to be expected of them, given what was read, does not (regression
-    calibration: Carroll et al., Measurement Error in Nonlinear Models, 2006, 4). Fourth differences of white
-    noise have 70 times its variance, those of motion next to none.
+    Fourth differences of white noise have 70 times its variance, those of motion next to none. at_rest:
+    (f, 3), the power of noise at rest, (rad/s)^2/Hz: what has a memory, or is behind a low-pass, those
+    differences do not show.
     """
-    interval = _interval(t)
     white = (np.diff(rate, 4, axis=0) ** 2).mean(axis=0) / 70.0
-    frequency = np.arange(len(arm)) / (interval * len(t))
-    slope = slope_power(2.0 * np.pi * frequency * interval) / interval**2
-    # Each column has the derivatives of the two other axes.
-    noise = (np.hanning(len(t) + 2) ** 2).sum() * slope[:, None] * (white.sum() - white)
-    power = np.apply_along_axis(smoothed, 0, (np.abs(arm) ** 2).sum(axis=1))
-    return np.asarray(np.maximum(1.0 - noise / power, 0.0))
+    return np.asarray((np.hanning(len(t) + 2) ** 2).sum() * np.maximum(white, at_rest / (2.0 * _interval(t))))
+
+
+def _part_of_motion(power: Array, noise: Array) -> Array:
+    """Return by frequency (f,) which part of a column's power is motion, and not the gyroscope's noise.
+
+    An arm's columns are made of the rate's derivative, in which white noise grows with frequency, a delay's
+    of the rate. Columns with noise make what is fitted seem smaller, and surer; what is to be expected of
+    them, given what was read, does not (regression calibration: Carroll et al., Measurement Error in
+    Nonlinear Models, 2006, 4). Nothing is taken from where noise is much of them: what chance leaves of it
+    would count as motion.
+    """
+    part = 1.0 - noise / smoothed(power)
+    return np.asarray(np.where(part > MOSTLY, part, 0.0))
 
 
 def on_limits(accelerometer: Samples, gyroscope: Samples, limits: Mapping[str, float]) -> list[Span]:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import butter, lfilter, sosfilt
+from scipy.signal import butter, lfilter, sosfilt, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
-from stillcal.calib_core.arrays import frozen
+from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
@@ -205,6 +206,58 @@ def test_a_noisy_gyroscope_makes_no_arm_shorter(seed: int) -> None:
     (only,) = (f for f in found.findings if f.effect == "lever_arm")
     measured = np.asarray(only.parameters["position"].value)
     assert float(measured @ arm / (arm @ arm)) == pytest.approx(1.0, abs=0.12)
+
+
+def low_passed(rate: Array, noise: Array) -> Array:
+    return rate + lfilter(*butter(2, 0.2), 0.1 * noise, axis=0)
+
+
+def remembering(rate: Array, noise: Array) -> Array:
+    return rate + lfilter([1.0], [1.0, -0.95], 0.02 * noise, axis=0)
+
+
+@pytest.mark.parametrize("spoil", [low_passed, remembering])
+def test_rates_whose_noise_is_not_white_make_no_arm_shorter(spoil: Callable[[Array, Array], Array]) -> None:
+    """Fourth differences do not show such noise; rests do, and what is much of a column is left out."""
+    arm = np.array([0.0, 0.08, -0.05])
+    accelerometer, gyroscope = played(12, arm=(0.0, 0.08, -0.05))
+    noise = np.random.default_rng(12).normal(size=gyroscope.xyz.shape)
+    noisy = replace(gyroscope, xyz=frozen(spoil(gyroscope.xyz, noise)))
+    found = [s.finding for s in examine(accelerometer, noisy, sought=()).statements]
+    (only,) = (f for f in found if f.effect == "lever_arm")
+    assert float(np.asarray(only.parameters["position"].value) @ arm / (arm @ arm)) == pytest.approx(
+        1.0, abs=0.15
+    )
+
+
+def smoothly(seed: int, arm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
+    """Turn 19 s in every 25, below 1.2 Hz, and push below 1 Hz; return force and rate (20000, 3)."""
+    rng, n = np.random.default_rng(seed), 20_000
+    slowed = np.hanning(50) / np.hanning(50).sum()
+    moving = np.convolve(np.arange(n) / RATE % 25.0 > 6.0, slowed, "same")[:, None]
+    rate, hand = (
+        sosfiltfilt(butter(5, 2 * f / RATE, output="sos"), x, axis=0)
+        for f, x in zip((1.2, 1.0), rng.normal(size=(2, n, 3)), strict=True)
+    )
+    rate, hand = moving * 1.5 * rate / rate.std(), moving * 0.8 * hand / hand.std()
+    about = np.cross(rate, np.cross(rate, arm)) + np.cross(np.gradient(rate, 1 / RATE, axis=0), arm)
+    return G * ups(Rotation.random(random_state=seed), rate, RATE) + hand + about, rate
+
+
+@pytest.mark.parametrize("seed", [1, 6])
+@pytest.mark.parametrize("arm", [(0.0, 0.0, 0.0), (0.02, -0.034, 0.01)])
+def test_where_columns_are_noise_they_say_nothing(seed: int, arm: tuple[float, float, float]) -> None:
+    """They would say that no arm is there, and that a delay which chance made at other frequencies grows."""
+    force, rate = smoothly(seed, arm)
+    noise = np.random.default_rng(seed).normal(size=(2, *rate.shape))
+    t = np.arange(len(rate)) / RATE
+    accelerometer = Samples.checked(Sensor.ACCELEROMETER, t, force + 0.01 * noise[0])
+    gyroscope = Samples.checked(Sensor.GYROSCOPE, t, rate + 0.02 * noise[1])
+    found = [s.finding for s in examine(accelerometer, gyroscope, sought=()).statements]
+    assert [f for f in found if f.sensor == "timing"] == []
+    measured = [np.asarray(f.parameters["position"].value) for f in found if f.effect == "lever_arm"]
+    assert len(measured) == any(arm)
+    assert all(np.abs(one - arm).max() < 8e-3 for one in measured)
 
 
 def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
