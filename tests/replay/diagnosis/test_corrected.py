@@ -498,5 +498,7 @@ def test_a_random_walk_that_a_simulation_lacks_is_put_in() -> None:
     assert steps.std(axis=0) == pytest.approx(np.full(3, 4e-5 * np.sqrt(100.0)), rel=0.2)
     few = correct(Recording(accel[::10], gyro[::10], [], Claims(), []), [lacks], {}).recording.gyroscope
     assert few is not None and few.xyz == pytest.approx(course[::10], abs=1e-12)
-    more = replace(lacks, relation="too_large", difference=subtract(other, own))
-    assert correct(Recording(accel, gyro, [], Claims(), []), [more], {}).left_out == [own.effect]
+    less_on_z = replace(other, value=np.log(np.array([3e-5, 3e-5, 8e-5])))
+    for simulated, recorded in ((own, other), (less_on_z, own)):
+        more = replace(lacks, relation="too_large", difference=subtract(recorded, simulated))
+        assert correct(Recording(accel, gyro, [], Claims(), []), [more], {}).left_out == [own.effect]

@@ -356,6 +356,19 @@ def test_a_random_walk_is_written_as_it_was_found(tool: str, text: str, written:
     assert not made.not_held
 
 
+OF_EFFECT = '[[effect]]\nname = "gyro_bias_random_walk"\ndensity = [2e-6, 2e-6, 2e-6]\n'
+
+
+@pytest.mark.parametrize("text", ["", OF_EFFECT, "[gyro.noise]\nrandom_walk = 1e-6\n\n" + OF_EFFECT])
+def test_a_phone_without_a_walk_of_its_own_or_with_one_as_an_effect_gets_the_effect(text: str) -> None:
+    simulated = [2e-6 if text else 0.0] * 3
+    walk = finding("gyro_bias_random_walk", "gyro", {"density": ([5e-6] * 3, simulated)})
+    made = fixed("phone", text, walk)
+    (effect,) = tomllib.loads(made.text)["effect"]
+    assert effect["density"] == pytest.approx([5e-6] * 3)
+    assert ("random_walk = 1e-6" in made.text) == ("noise" in text)
+
+
 def test_a_density_of_a_walk_is_no_white_noise_beside_slow_noise() -> None:
     walk = finding("gyro_bias_random_walk", "gyro", {"density": ([5e-6] * 3, [2e-6] * 3)})
     made = fixed_for("kalibr", "gyroscope_random_walk: 1.0e-6\n", {"findings": [SLOW, walk]})

@@ -265,6 +265,8 @@ def test_beside_a_gyroscope_that_is_shaken_an_accelerometer_s_noise_is_not_its_o
     assert gyro.levels is not None and gyro.levels.loud and not gyro.levels.alike
     assert accel.shaken and not gyro.shaken
     assert density(accel) is None and why_no_density(accel) == SHAKEN
+    band = held(3.0, 12.0, 0.03).streams[0]
+    assert band.coloured() is None and replace(band, shaken=False).coloured() is not None
     quiet = held(0.0, 12.0, 1e-3).streams[0]
     assert not quiet.shaken and density(quiet) is not None
     white = held(0.0, 0.0, 0.05)

@@ -287,7 +287,7 @@ def test_a_phone_on_a_chest_is_turned_to_and_fro_in_its_rests(
     rng, phase = np.random.default_rng(3), 2.0 * np.pi * 0.25 * t
     tilt, rate = sway * np.sin(phase), sway * 2.0 * np.pi * 0.25 * np.cos(phase)
     force = 9.8 * np.column_stack([np.zeros_like(t), np.sin(tilt), np.cos(tilt)])
-    read = np.column_stack([rate + toggles * (np.sin(phase / 2.0) > 0.0), np.zeros_like(t), np.zeros_like(t)])
+    read = np.column_stack([rate + toggles * (np.sin(phase / 2.0) > 0.0), np.full_like(t, 0.01), 0.0 * t])
     bins = cut(
         Samples(Sensor.ACCELEROMETER, t, force + rng.normal(0.0, 0.01, force.shape)),
         Samples(Sensor.GYROSCOPE, t, read + rng.normal(0.0, 1e-3, read.shape)),

@@ -68,3 +68,15 @@ def test_a_sensor_that_hardly_changes_shows_no_step(noise: float) -> None:
     reasons = {c.effect: c.reason for c in direct_checks(exam)}
     assert reasons["accel_quantisation"] == "without noise and motion its values stay as they are"
     assert reasons["gyro_quantisation"] is None
+
+
+@pytest.mark.parametrize(
+    ("moved", "hidden"),
+    [("swings", ("accel", "gyro")), ("held", ("gyro",)), ("breathes", ("gyro",))],
+)
+def test_where_rests_move_a_random_walk_is_not_looked_for(moved: str, hidden: tuple[str, ...]) -> None:
+    exam = examined(turned(1), sought=())
+    shaken = replace(exam, bins=replace(exam.bins, **{moved: True}))
+    for sensor in ("accel", "gyro"):
+        assert obstacle(exam, f"{sensor}_bias_random_walk", sensor) is None
+        assert (obstacle(shaken, f"{sensor}_bias_random_walk", sensor) is None) == (sensor not in hidden)

@@ -145,3 +145,20 @@ def test_what_an_unsure_low_pass_takes_off_is_no_difference_of_the_noise(error: 
     assert expected is not None
     assert np.exp(own["noise_level", "accel"].value) == pytest.approx(expected.values())
     assert stream.levels.values() == pytest.approx(1.3 * plain.levels.values(), rel=0.15)
+
+
+def test_low_passes_that_both_show_take_their_part_off_both() -> None:
+    """They agree, though neither is sure: the noise before them is that of each alone."""
+    exams = still(None, 1), still(None, 2)
+    filtered = []
+    for exam in exams:
+        (plain,) = exam.streams
+        assert plain.spectra is not None
+        shape = 1.0 / (1.0 + (plain.spectra.f / 32.0) ** 2)
+        behind = LowPass(Measured(32.0, 12.0), shape, 10.0, 1, 0.0, Measured(0.0, 0.0))
+        spectra = replace(plain.spectra, low_pass=behind)
+        filtered.append(replace(exam, streams=[replace(plain, spectra=spectra, levels=levels(spectra))]))
+    for side, exam in zip(of_both(filtered), filtered, strict=True):
+        own = exam.streams[0].levels
+        assert own is not None
+        assert np.exp(side["noise_level", "accel"].value) == pytest.approx(own.values())

@@ -15,6 +15,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.compare import _is_motion, compare
 from stillcal.calib_core.diagnosis.comparison.noise.slow_noise import (
     SlowNoise,
+    _as_walk,
     by_name,
     difference_of,
     slow_noise,
@@ -290,6 +291,27 @@ def test_a_walk_has_the_density_that_makes_its_allan_deviation() -> None:
     own_part = np.sqrt(np.exp(2.0 * own.value) - own.white)
     assert np.exp(found.recorded.value) == pytest.approx(own_part * np.sqrt(3.0 / 100.0))
     assert [p.unit for p in found.recorded.parts] == ["rad/s/sqrt(s)"]
+
+
+def test_what_is_hardly_more_than_white_noise_leaves_an_unsure_walk() -> None:
+    """Where half of the variance is the walk's, its density is twice as unsure as the whole."""
+    seen = resting(1e-3, 1e-2, 1)
+    half = _as_walk(replace(seen, value=0.5 * np.log(2.0 * seen.white)))
+    assert half.sigma == pytest.approx(2.0 * seen.sigma)
+    assert np.exp(half.value) == pytest.approx(np.sqrt(3.0 * seen.white / 100.0))
+    less = _as_walk(replace(seen, value=0.5 * np.log(0.9 * seen.white)))
+    assert np.exp(less.value) == pytest.approx(np.sqrt(3.0 * 0.09 * seen.white / 100.0))
+    assert less.sigma == pytest.approx(10.0 * seen.sigma)
+
+
+def test_an_accelerometer_s_walk_is_that_of_its_norm_on_each_axis() -> None:
+    seen = resting(1e-3, 1e-2, 1)
+    one = replace(
+        seen, sensor="accel", value=seen.value[:1], covariance=seen.covariance[:1, :1], white=seen.white[:1]
+    )
+    made = _as_walk(one)
+    assert made.value == pytest.approx(np.full(3, _as_walk(seen).value[0]))
+    assert made.covariance == pytest.approx(np.full((3, 3), made.covariance[0, 0]))
 
 
 def test_what_agrees_is_a_walk_only_where_both_state_one() -> None:
