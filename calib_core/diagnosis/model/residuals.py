@@ -159,17 +159,26 @@ class Norms:
         where bias wanders from rest to rest, the priors must not be nothing beside it.
         """
         fit = linearised(self.force, x)
-        away = (self.gravity - fit.norm) * self.weight
+        weight, away = self._weighed(fit)
         excess = np.sqrt(self._excess(away))
-        design = np.vstack([fit.jacobian * (self.weight / excess)[:, None], PRIOR])
+        design = np.vstack([_at_length(fit, self.gravity) * (weight / excess)[:, None], PRIOR])
         return design, np.concatenate([away / excess, -PRIOR @ x])
 
     def cost(self, x: Array) -> float:
         """Return twice the negative log of the parameters' posterior, whose least the rows lead to."""
-        away = (self.gravity - linearised(self.force, x).norm) * self.weight
+        _, away = self._weighed(linearised(self.force, x))
         freedom, excess = max(away.size - x.size, 1), self._excess(away)
         prior = PRIOR @ x
         return float(freedom * np.log(excess) + away @ away / excess + prior @ prior)
+
+    def _weighed(self, fit: Baseline) -> tuple[Array, Array]:
+        """Return the weight (n,) of corrected norms and by how much they miss gravity, weighed (n,).
+
+        The noise is of what was read: a scale below one makes it smaller in the corrected norm, and beside a
+        bias that makes up for it would else pass for a better fit.
+        """
+        weight = self.weight / np.linalg.norm(fit.up @ fit.scale, axis=1)
+        return weight, (self.gravity - fit.norm) * weight
 
     def _excess(self, away: Array) -> float:
         """Return how much more than the bins' noise the misses vary, at least one."""
@@ -197,9 +206,16 @@ def fit_baseline(force: Array, variance: Array, rest: Index, gravity: float) -> 
         if before - cost < SETTLED:
             break
     steady = linearised(rest_courses(force, rest), x)
-    # At gravity's own length: columns of scale would else hold what is left of the norm, and explain it.
-    length = np.where(np.arange(x.size) < 3, 1.0, gravity / steady.norm[:, None])
-    return replace(steady, norm=linearised(force, x).norm, jacobian=steady.jacobian * length)
+    return replace(steady, norm=linearised(force, x).norm, jacobian=_at_length(steady, gravity))
+
+
+def _at_length(fit: Baseline, gravity: float) -> Array:
+    """Return a fit's columns (n, 9) at gravity's own length.
+
+    Columns of scale would else hold what is left of the norm, and explain it.
+    """
+    length = np.where(np.arange(fit.jacobian.shape[1]) < 3, 1.0, gravity / fit.norm[:, None])
+    return np.asarray(fit.jacobian * length)
 
 
 def _shortened(norms: Norms, x: Array, step: Array, cost: float) -> Array:
