@@ -55,6 +55,10 @@ FACTORS = np.exp(np.arange(-3.0, 3.01, 0.1))
 FAR, SOME = 0.25, 10
 """rad of a turn, beyond which a common factor of the rates is looked for; turns that it is taken from."""
 
+TWICE, CHECKED = 2.0, 3
+"""By how many times `FAR` gravity must move in a turn that a factor is taken from, so that no rates at all
+miss it; how many such turns are needed: one may fit any factor, the others must agree."""
+
 TRUSTED = 3.0
 """Scatters beyond which a turn's weight falls."""
 
@@ -105,9 +109,13 @@ class Turn:
         moved = np.cross(np.einsum("nij,nj->ni", turned, np.gradient(self.rate, axis=0)), self.up)
         return float(np.sqrt((moved**2).sum() / 2.0))
 
+    def by_scale(self) -> Array:
+        """Return by how much (3,) rad a scale of all rates moves it, for a unit of that."""
+        return np.asarray(self.scale_columns() @ np.eye(3).ravel())
+
     def by_stretch(self) -> Array:
         """Return by how much (3,) rad time that is unsure as a whole moves it, one standard deviation."""
-        return np.asarray(self.stretch * (self.scale_columns() @ np.eye(3).ravel()))
+        return np.asarray(self.stretch * self.by_scale())
 
     def across(self) -> Array:
         """Return two unit vectors (2, 3) across gravity at the end."""
@@ -231,9 +239,14 @@ def _between_samples(turns: list[Turn]) -> Array:
 def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
     """Return the factor of the rates about which their scale is fitted: 1 but where most turns miss by far.
 
-    Rates of another range or unit are several times too large, and the fit is linear in small errors.
+    Rates of another range or unit are several times too large, and the fit is linear in small errors. Turns
+    that leave gravity where it was do not tell: rates of nothing fit them best.
     """
-    some = found[:: -(-len(found) // SOME)]
+    up, _ = tilted(steady, x)
+    moved = [c for c in found if _apart(up[c.first], up[c.first + 1]) > TWICE * FAR]
+    if len(moved) < CHECKED:
+        return 1.0
+    some = moved[:: -(-len(moved) // SOME)]
 
     def miss(factor: float) -> float:
         turns = _carried(some, steady, x, factor * np.eye(3))
@@ -243,6 +256,11 @@ def _nominal(found: list[Cut], steady: Array, x: Array) -> float:
         return 1.0
     best = min(FACTORS.tolist(), key=miss)
     return best if miss(best) <= FAR else 1.0
+
+
+def _apart(before: Array, after: Array) -> float:
+    """Return the angle between two unit vectors (3,), rad."""
+    return float(np.arctan2(np.linalg.norm(np.cross(before, after)), before @ after))
 
 
 def _carried(

@@ -36,6 +36,7 @@ from stillcal.calib_core.diagnosis.noise.low_pass import LEAST_PIECES
 from stillcal.calib_core.diagnosis.segments.noiseless import MOVING
 from stillcal.calib_core.diagnosis.segments.rests.rest_edges import SHORTEST_BIN
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import telling
 from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream
 
 OF_TIME = ("warmup", "bias_drift", "bias_step", "bias_random_walk", "charging_bias", "thermal_latent")
@@ -189,9 +190,12 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         yield bins.held and sensor == "gyro", why
         yield bins.breathes and sensor == "gyro", "it is turned to and fro in its rests by as much"
     if effect in OF_TURNS:
-        have = 0 if exam.aligned is None else len(exam.aligned.turns)
+        have = 0 if exam.aligned is None else telling(exam.aligned)
         turns = _counted(have, "turn")
-        yield exam.turns is None, f"{turns} from rest to rest can be used, {LEAST_TURNS} are needed"
+        yield (
+            exam.turns is None,
+            f"{turns} from rest to rest can be used, {LEAST_TURNS} are needed (none about the vertical)",
+        )
 
 
 def _of_rest(exam: Examination, sensor: str) -> Iterator[Condition]:

@@ -10,7 +10,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.noise_models import covariance_of
 from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.diagnosis.model.residuals import View, rest_means
-from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS, Aligned, Turn
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 
 OUTLIER = 8.0
@@ -20,12 +20,17 @@ KNOWN = 4.0
 Of 57 simulated recordings with nine to forty turns, eight in ten have 0.2 to 2.1 times this variance.
 """
 
+TOLD = 3.0
+"""Standard errors of gravity's direction by which the axis of a turn must lie off it."""
+
 WAVES = 8
 """Of a bias that wanders: those left out have a fourteenth of a walk's variance."""
 
 
 def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals | None:
-    """Return the turns' residuals, one view, outliers dropped; None with fewer than `LEAST_TURNS` turns."""
+    """Return the turns' residuals, one view, outliers dropped; None where fewer than `LEAST_TURNS` tell."""
+    if telling(made) < LEAST_TURNS:
+        return None
     for last in (False, False, True):
         if len(made.turns) < LEAST_TURNS:
             return None
@@ -36,6 +41,26 @@ def turn_residuals(made: Aligned, bins: Bins, gravity: float) -> SensorResiduals
             break
         made = replace(made, turns=kept)
     return SensorResiduals("gyro", bins, (view,), gravity, None, tuple(made.turns))
+
+
+def telling(made: Aligned) -> int:
+    """Return how many turns tell of the gyroscope's scale: those about no axis along gravity.
+
+    About the vertical gravity stays, whatever the scale is: what the scale then seems to do is what the
+    accelerometer has gravity's direction wrong by, and no rates at all would fit best.
+    """
+    return sum(_tells(t, made.unsure) for t in made.turns)
+
+
+def _tells(turn: Turn, unsure: Array) -> bool:
+    """Whether a scale of all rates would move gravity by more than an error of its direction seems to."""
+    turned = float(np.linalg.norm(np.einsum("nij,nj->i", turn.carried, turn.rate)))
+    return float(np.linalg.norm(turn.by_scale())) > TOLD * turned * _direction_error(turn, unsure)
+
+
+def _direction_error(turn: Turn, unsure: Array) -> float:
+    """Return the standard error of gravity's direction at the end of a turn, rad."""
+    return float(np.sqrt(((turn.ends[1] @ unsure) ** 2).sum()))
 
 
 def turn_view(made: Aligned, bins: Bins) -> View:

@@ -13,6 +13,7 @@ from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_cou
 from stillcal.calib_core.diagnosis.model.rotation_alignment import _nominal, aligned
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.segments.turns import cuts
+from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import telling, turn_residuals
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import lively, ups
 
@@ -120,6 +121,23 @@ def test_a_smaller_scale_is_no_better_fit_for_making_the_noise_smaller() -> None
     bins = cut(*about_the_vertical())
     made = fit_baseline(bins.force, bins.force_variance, bins.rest, G)
     assert abs(float(made.bias @ made.up[0])) < 0.1, made.parameters
+
+
+def test_turns_about_the_vertical_tell_neither_a_factor_nor_the_scale() -> None:
+    """Gravity stays: rates of nothing fitted them, whatever its direction was taken to be."""
+    accelerometer, gyroscope = about_the_vertical()
+    bins = cut(accelerometer, gyroscope)
+    found, steady = cuts(gyroscope, bins), rest_courses(bins.force, bins.rest)
+    assert len(found) >= 9
+    assert _nominal(found, steady, np.array([0.8, 1.5, -0.8, *np.zeros(6)])) == 1.0
+    assert telling(aligned(gyroscope, bins, G)) == 0
+    assert turn_residuals(aligned(gyroscope, bins, G), bins, G) is None
+
+
+def test_turns_between_attitudes_tell_the_scale() -> None:
+    accelerometer, gyroscope, _ = day()
+    made = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+    assert telling(made) > 0.9 * len(made.turns)
 
 
 def test_a_turn_that_reaches_the_limit_is_left_out_whatever_is_known_of_its_rate() -> None:
