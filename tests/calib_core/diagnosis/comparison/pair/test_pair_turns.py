@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import Array, frozen
-from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, KnownBefore, align
+from stillcal.calib_core.diagnosis.comparison.pair.alignment import Alignment, KnownBefore, _drivers, align
+from stillcal.calib_core.diagnosis.comparison.pair.delay import late as late_of
+from stillcal.calib_core.diagnosis.comparison.pair.turns import Turns
+from stillcal.calib_core.diagnosis.effects.catalogue import effects_of
 from stillcal.calib_core.diagnosis.motion.block_regression import of_arm
 from stillcal.replay.diagnosis.pair.readings import mean_readings, readings_of
 from stillcal.replay.formats.trace import Recording
 from tests.support.diagnosis.turned_pairs import RATE, Flaw, perfect, turned
 
 NOISE = KnownBefore(noise={"accel": np.full(3, 0.008**2), "gyro": np.full(3, 5e-4**2)})
+
+
+def one_way(force: Array, rate: Array) -> tuple[Array, Array]:
+    """Return what a device reads that is turned about y in one direction only."""
+    return force, np.column_stack([rate[:, 0], np.abs(rate[:, 1]), rate[:, 2]])
 
 
 def seen(flaw: Flaw = perfect, seed: int = 1) -> Alignment:
@@ -109,11 +117,22 @@ def test_what_motion_dithers_of_coarse_steps_is_no_effect_of_turns(gain: float, 
 def test_where_all_turns_are_in_one_direction_noise_is_no_gain_by_direction() -> None:
     """What parted the size of a rate from the rate was noise: a gain of 64 %, and a scale that undid it."""
 
-    def one_way(force: Array, rate: Array) -> tuple[Array, Array]:
-        return force, np.column_stack([rate[:, 0], np.abs(rate[:, 1]), rate[:, 2]])
+    own, other = turned(1, one_way), turned(101, one_way)
+    assert align(readings_of(own), mean_readings(own, [other]), NOISE).found == []
 
-    own = turned(1, one_way)
-    assert align(readings_of(own), mean_readings(own, [turned(101, one_way)]), NOISE).found == []
+
+def test_what_noise_makes_of_a_gain_by_direction_is_taken_off_and_as_unsure_as_it_is_large() -> None:
+    own, other = turned(1, one_way), turned(101, one_way)
+    assert own.gyroscope is not None and other.gyroscope is not None
+    seen = late_of(own.gyroscope, other.gyroscope, "gyro")
+    assert seen is not None
+    drivers = _drivers(own.gyroscope, readings_of(other))
+    noise = NOISE.noise["gyro"]
+    turns = Turns(own.gyroscope, other.gyroscope, seen.pieces, drivers, filtered=False, noise=noise)
+    gain = next(e for e in effects_of("gyro", in_turns=True) if e.follows == "size of the rate of turn")
+    as_read, made = (t._fitted(gain, []) for t in (replace(turns, noise=0.0 * noise), turns))
+    assert abs(as_read.value[1]) > 0.3 and abs(made.value[1]) < 0.1
+    assert np.sqrt(made.covariance[1, 1]) > 0.9 * abs(as_read.value[1] - made.value[1])
 
 
 def test_a_bias_of_both_gyroscopes_makes_no_square_of_a_cube() -> None:
