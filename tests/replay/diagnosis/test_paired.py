@@ -25,7 +25,12 @@ from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from stillcal.replay.diagnosis.pair.as_both import unsure_delay
 from stillcal.replay.diagnosis.pair.paired import judge_paired
-from stillcal.replay.diagnosis.pair.readings import less, mean_readings, refuse_itself
+from stillcal.replay.diagnosis.pair.readings import (
+    less,
+    mean_readings,
+    refuse_itself,
+    refuse_other_motion,
+)
 from stillcal.replay.diagnosis.pair.witnesses import MISMATCH, judge_with_witnesses
 from stillcal.replay.diagnosis.sample_changes import held_at
 from stillcal.replay.diagnosis.words.summary import summary
@@ -327,6 +332,13 @@ def test_another_motion_and_values_that_are_late_are_refused() -> None:
     sim = with_rate(turned(2), late)
     with pytest.raises(UserError, match=r"2.csv: is of another motion .* late against it"):
         judge_paired(real, replace(sim, accelerometer=late(sim.accelerometer)))
+
+
+@pytest.mark.parametrize("change", [0.5 * np.eye(3), np.diag([-1.0, 1.0, 1.0]), np.eye(3)[[0, 2, 1]]])
+def test_a_gyroscope_of_another_range_or_with_other_axes_is_not_another_motion(change: Array) -> None:
+    """It shared 0 % of the motion by its rates, though both accelerometers read the same of it."""
+    sim = with_rate(turned(2), lambda rate: replace(rate, xyz=frozen(rate.xyz @ change)))
+    refuse_other_motion(turned(1), sim)
 
 
 @pytest.mark.parametrize(("by", "said"), [(0.05, "50 ms later"), (-0.05, "50 ms earlier")])

@@ -174,10 +174,14 @@ def mounting(own: Readings, other: Readings) -> Mounting | None:
 
 
 def shared_as_it_is(own: Readings, other: Readings) -> float | None:
-    """Return the part of the motion that another reads at the same stamps and axes; None without motion."""
-    both = _both(own, other)
+    """Return the part of the motion that another reads at the same stamps and axes; None without motion.
+
+    It is that of the kind of sensor that shares more: one of another range, or with exchanged axes, is a
+    difference of that sensor, and the motion is still one.
+    """
     unmoved = Clock(float(own.force.t.mean()), float(np.ptp(own.force.t)) / 2.0)
-    return _shared(both, np.eye(3), unmoved, 0.0) if any(one.pieces for one in both) else None
+    shared = [_shared([one], np.eye(3), unmoved, 0.0) for one in _both(own, other) if one.pieces]
+    return max(shared, default=None)
 
 
 def _both(own: Readings, other: Readings) -> list[_Both]:
