@@ -52,8 +52,9 @@ TURNED = 0.5
 BEYOND_CHANCE = 3.0
 """Standard errors beyond which a part that comes about is none by chance."""
 
-NEAR_BINS = 5
-"""Neighbouring bins whose noise is taken to be alike where the phone moves in some."""
+NEAR_BINS, NEAR_CHANGES = 5, 100
+"""Neighbouring bins whose noise is taken to be alike where the phone moves in some: so many at least, and as
+many as have that number of changes, of which a median tells as much as 60 do (`residuals.WITHIN_BINS`)."""
 
 LEAST_FORCE, LEAST_RATE = 3e-7, 3e-8
 """m/s^2 and rad/s, about a millionth of a bias as phones have it: no mean is known better. A simulation
@@ -272,24 +273,34 @@ def _near_variances(
 ) -> Array:
     """Variance (n, 3) of bin means, from differences of window means inside bins.
 
-    It is the median of a bin and its neighbours, or the bin's own where that is louder by more than chance.
-    It is at least `least`^2. Bins that are `moving` (n,) take no part in it, and have what lies between the
-    medians at rest about them.
+    It is that of a bin and its neighbours, or the bin's own where that is louder by more than chance. It is
+    at least `least`^2. Bins that are `moving` (n,) take no part in it, and have what lies between those at
+    rest about them.
     """
+    still = np.ones(first.size, dtype=bool) if moving is None else moving == 0.0
+    own, common = _own_and_common(values, first[still], last[still])
+    # Chi-squared: what one in twenty exceeds.
+    variance = np.where(own > _times_exceeded(0.05, _freedom(first, last)) * common, own, common)
     if moving is not None:
-        rest, centre = np.flatnonzero(moving == 0.0), (first + last) / 2.0
-        still = _near_variances(values, first[rest], last[rest], least)
-        between = [np.interp(centre, centre[rest], axis) for axis in still.T]
-        return np.asarray(np.stack(between, axis=1))
-    own = _by_changes(values, first, last)
-    freedom = last[0] - first[0] - 1.0 if first.size else 1.0
-    side = NEAR_BINS // 2
-    padded = np.pad(own, ((side, side), (0, 0)), mode="reflect") if len(own) > side else own
-    near = np.stack([padded[i : i + len(own)] for i in range(len(padded) - len(own) + 1)])
-    # Chi-squared: where its median is, and what one in twenty exceeds.
-    common = np.median(near, axis=0) / _times_exceeded(0.5, freedom)
-    variance = np.where(own > _times_exceeded(0.05, freedom) * common, own, common)
+        centre, every = (first + last) / 2.0, np.empty((first.size, values.shape[1]))
+        every[still] = variance
+        every[~still] = np.stack([np.interp(centre[~still], centre[still], c) for c in common.T], axis=1)
+        variance = every
     return np.asarray(np.maximum(variance / (last - first)[:, None], least**2))
+
+
+def _own_and_common(values: Array, first: Array, last: Array) -> tuple[Array, Array]:
+    """Return the variance (n, 3) of windows by bin, and of the median one of it and its neighbours."""
+    own, freedom = _by_changes(values, first, last), _freedom(first, last)
+    side = min(max(NEAR_BINS, int(NEAR_CHANGES / freedom)) // 2, max(len(own) - 1, 0))
+    padded = np.pad(own, ((side, side), (0, 0)), mode="reflect") if side else own
+    near = np.stack([padded[i : i + len(own)] for i in range(len(padded) - len(own) + 1)])
+    return own, np.median(near, axis=0) / _times_exceeded(0.5, freedom)
+
+
+def _freedom(first: Array, last: Array) -> float:
+    """Return how many changes of windows a bin has."""
+    return float(last[0] - first[0] - 1.0) if first.size else 1.0
 
 
 def _by_changes(values: Array, first: Array, last: Array) -> Array:

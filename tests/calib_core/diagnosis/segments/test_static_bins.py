@@ -9,7 +9,7 @@ import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.segments.rests.rest_edges import PLUG_LATE, RestEdges, rest_edges
-from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut, overview_of
+from stillcal.calib_core.diagnosis.segments.static_bins import Bins, cut, cut_all, overview_of
 from stillcal.calib_core.diagnosis.segments.windows import windows
 from stillcal.calib_core.streams.events import Charging
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -306,3 +306,16 @@ def test_what_a_quiet_gyroscope_reads_beside_a_noisy_accelerometer_turns_nothing
             Samples(Sensor.GYROSCOPE, t, rng.normal(0.0, 1e-4, level.shape)),
         )
         assert len(bins) > 10 and not bins.breathes
+
+
+def test_white_noise_of_brief_bins_is_told_by_as_many_as_the_model_takes_it_to_be() -> None:
+    """Of bins of 4 s, five tell it to a half only: some residuals seem to be twice as large as they are."""
+    noise, t = np.random.default_rng(3).normal(size=(2, 60_000, 3)), np.arange(60_000) / 100.0
+    force = Samples.checked(Sensor.ACCELEROMETER, t, [0.0, 0.0, 9.81] + 0.01 * noise[0])
+    rate = Samples.checked(Sensor.GYROSCOPE, t, 1e-3 * noise[1])
+    moving = (np.arange(150) % 3 > 0).astype(float)
+    for bins in (cut_all(force, rate, [], (0.0, 600.0)), cut_all(force, rate, [], (0.0, 600.0), moving)):
+        assert bins.duration[0] == 4.0 and bins.rate_variance is not None
+        for variance, white in ((bins.force_variance, 1e-4), (bins.rate_variance, 1e-6)):
+            least, middle, most = np.quantile(variance / (white / 400.0), [0.1, 0.5, 0.9])
+            assert least > 0.55 and 0.8 < middle < 1.2 and most < 1.6
