@@ -350,7 +350,7 @@ def _of_steps(exam: Examination) -> list[Span]:
 
 def _turn_errors(exam: Examination) -> Finding | None:
     """Return turns that no gyroscope with the effects found explains."""
-    if exam.aligned is None or exam.turns is None:
+    if exam.aligned is None or exam.exchanged or exam.zone_at_rest:
         return None
     known = off_bins(exam.bins, Known.among(exam.statements))
     found = [s.hypothesis for s in exam.statements if s.hypothesis and s.residuals and s.residuals.turns]

@@ -21,6 +21,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding, sized
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Where
 from stillcal.calib_core.diagnosis.model.residuals import fit_baseline
+from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.segments.turns import cuts
 from stillcal.calib_core.maths.rms import rms
@@ -123,9 +124,10 @@ def _rescaled(found: list[Step]) -> tuple[list[Step], Array]:
 
     A wrong common scale of the gyroscope, as of a nominal value of one count, would else hide what is
     exchanged behind its own misses. Within a factor of 1.5, and to 1 %: what is left is within `LEAST_MISS`.
+    Few turns tell no factor: some two of them fit with one by chance.
     """
     size = _misses(found, np.eye(3))
-    if TIMES * float(np.quantile(size, SOUND_PART)) <= FAR:
+    if len(found) < LEAST_TURNS or TIMES * float(np.quantile(size, SOUND_PART)) <= FAR:
         return found, size
     some = _spread(found)
 
@@ -206,12 +208,16 @@ def _nats(misses: Sequence[Array] | Array, sound: Array, tries: float) -> float:
 
     misses: (e,) of each turn, by which of its parts are exchanged (`_edges`), alike before the data. With
     the exchange they are those of the other turns, `sound` (n,), Rayleigh distributed, but one in
-    `1 / STRAY`; without it gravity goes anywhere on the sphere. tries: exchanges of both sensors, times
-    spans of turns.
+    `1 / STRAY`; without it gravity goes anywhere on the sphere. Where no others are, how far sound turns
+    miss is not known but for its range. tries: exchanges of both sensors, times spans of turns.
     """
-    scale = max(float(np.mean(sound**2)) / 2.0, LEAST_MISS**2) if sound.size else FAR**2
-    ratio = np.array([2.0 / scale * np.exp(-0.5 * miss**2 / scale).mean() for miss in misses])
-    return float(np.log((1.0 - STRAY) * ratio + STRAY).sum()) - float(np.log(tries))
+    least = LEAST_MISS**2
+    scales = [max(float(np.mean(sound**2)) / 2.0, least)] if sound.size else np.geomspace(least, FAR**2, 6)
+    told = []
+    for scale in scales:
+        ratio = np.array([2.0 / scale * np.exp(-0.5 * miss**2 / scale).mean() for miss in misses])
+        told.append(float(np.log((1.0 - STRAY) * ratio + STRAY).sum()))
+    return log_mean_exp(np.array(told)) - float(np.log(tries))
 
 
 def _edges(i: int, span: tuple[int, int]) -> list[tuple[bool, bool, bool]]:

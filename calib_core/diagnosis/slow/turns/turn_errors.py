@@ -17,7 +17,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals
 from stillcal.calib_core.diagnosis.model.measurement import DirectEvidence, direct_finding
 from stillcal.calib_core.diagnosis.model.records import SLOW_BAND, Finding, Parameter, Where
-from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE, LEAST_TURNS, Aligned
+from stillcal.calib_core.diagnosis.model.rotation_alignment import GYRO_SCALE_SIZE, Aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import log_mean_exp
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_view
@@ -30,6 +30,9 @@ SOUND, FAULTY = (1e-4, 6e-3), (6e-3, 0.5)
 Of two real units turned by hand an Xsens (imu_tk) has less than 0.0010, an MPU-9150 (mikoff) less than 0.0024
 (95 %); sound is up to more than twice that.
 """
+
+FEWEST = 5
+"""Turns from which they are judged: with fewer a scale and misalignment as phones have them explain most."""
 
 STEPS = 24
 """Parts of the angle that are tried in either range, evenly on a logarithmic scale."""
@@ -83,7 +86,7 @@ def missed_turns(made: Aligned, bins: Bins, gravity: float, found: Sequence[Hypo
 
     The other parameters are those of `turn_errors`.
     """
-    if len(made.turns) < LEAST_TURNS or bins.rate is None or bins.rate_variance is None:
+    if len(made.turns) < FEWEST or bins.rate is None or bins.rate_variance is None:
         return None
     view = turn_view(made, bins)
     residuals = SensorResiduals("gyro", bins, (view,), gravity, None, tuple(made.turns))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.diagnose import diagnose
@@ -42,6 +43,16 @@ def test_turns_with_a_gain_each_are_found() -> None:
     low, high = stated.parameters["part_of_angle"].ci95
     # Across gravity, two of three axes are seen.
     assert low < 0.04 < 2.0 * high
+
+
+@pytest.mark.parametrize("part", [2, 3])
+def test_six_rests_tell_a_dead_axis_and_sound_ones_are_silent(part: int) -> None:
+    """With fewer than nine turns a scale is not fitted; what scales as phones have them leave is told."""
+    force, spin, _ = day()
+    some = (spin.t > 145.0 * part) & (spin.t < 145.0 * part + 29.0 * 6)
+    dead = replace(spin, xyz=spin.xyz * [0.0, 1.0, 1.0])
+    stated = [found(force[some], one[some]) for one in (spin, dead)]
+    assert stated[0] is None and stated[1] is not None
 
 
 def test_where_the_device_is_turned_in_its_rests_gravity_tells_no_turn() -> None:
