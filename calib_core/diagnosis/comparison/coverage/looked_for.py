@@ -194,7 +194,8 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         turns = _counted(have, "turn")
         yield (
             exam.turns is None,
-            f"{turns} from rest to rest can be used, {LEAST_TURNS} are needed (none about the vertical)",
+            f"{turns} from rest to rest can be used, {LEAST_TURNS} are needed"
+            " (those about the vertical do not count)",
         )
 
 
