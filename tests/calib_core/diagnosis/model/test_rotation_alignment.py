@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -9,8 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.model.residuals import fit_baseline, rest_courses
-from stillcal.calib_core.diagnosis.model.rotation_alignment import _nominal, aligned
+from stillcal.calib_core.diagnosis.model.residuals import Norms, fit_baseline, linearised, rest_courses
+from stillcal.calib_core.diagnosis.model.rotation_alignment import _apart, _nominal, aligned, tilted
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.diagnosis.segments.turns import cuts
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import telling, turn_residuals
@@ -123,6 +124,25 @@ def test_a_smaller_scale_is_no_better_fit_for_making_the_noise_smaller() -> None
     assert abs(float(made.bias @ made.up[0])) < 0.1, made.parameters
 
 
+def test_the_noise_of_a_corrected_norm_is_that_of_what_was_read_along_gravity() -> None:
+    """A scale of one half on x halves the noise where x is up, and does nothing to it where z is."""
+    norms = Norms(G * np.eye(3)[[0, 2]], np.array([100.0, 100.0]), G)
+    weight, away = norms._weighed(linearised(norms.force, np.array([0.0, 0.0, 0.0, -0.5, *np.zeros(5)])))
+    np.testing.assert_allclose(weight, [200.0, 100.0])
+    np.testing.assert_allclose(away, [100.0 * G, 0.0], atol=1e-9)
+
+
+def test_a_factor_of_the_rates_is_taken_from_three_turns_that_move_gravity_and_no_fewer() -> None:
+    """One may fit any factor by chance."""
+    accelerometer, gyroscope, _ = day()
+    bins = cut(accelerometer, gyroscope)
+    halved = Samples.checked(Sensor.GYROSCOPE, gyroscope.t, 0.25 * gyroscope.xyz)
+    steady, x = rest_courses(bins.force, bins.rest), np.zeros(9)
+    up, _ = tilted(steady, x)
+    moved = [c for c in cuts(halved, bins) if _apart(up[c.first], up[c.first + 1]) > 1.0]
+    assert [_nominal(moved[:n], steady, x) > 2.0 for n in (1, 2, 3)] == [False, False, True]
+
+
 def test_turns_about_the_vertical_tell_neither_a_factor_nor_the_scale() -> None:
     """Gravity stays: rates of nothing fitted them, whatever its direction was taken to be."""
     accelerometer, gyroscope = about_the_vertical()
@@ -138,6 +158,20 @@ def test_turns_between_attitudes_tell_the_scale() -> None:
     accelerometer, gyroscope, _ = day()
     made = aligned(gyroscope, cut(accelerometer, gyroscope), G)
     assert telling(made) > 0.9 * len(made.turns)
+
+
+@pytest.mark.parametrize(("errors", "told"), [(2.0, False), (4.0, True)])
+def test_a_turn_tells_the_scale_where_its_axis_lies_off_gravity_by_three_errors(
+    errors: float, told: bool
+) -> None:
+    accelerometer, gyroscope, _ = day()
+    made = aligned(gyroscope, cut(accelerometer, gyroscope), G)
+    turn = made.turns[0]
+    turned = np.linalg.norm(np.einsum("nij,nj->i", turn.carried, turn.rate))
+    off = np.linalg.norm(turn.by_scale()) / turned
+    direction = np.sqrt(((turn.ends[1] @ made.unsure) ** 2).sum())
+    unsure = made.unsure * off / (errors * direction)
+    assert telling(replace(made, turns=[turn], unsure=unsure)) == told
 
 
 def test_a_turn_that_reaches_the_limit_is_left_out_whatever_is_known_of_its_rate() -> None:
