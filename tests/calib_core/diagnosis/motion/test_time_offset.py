@@ -19,7 +19,13 @@ from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
 from stillcal.calib_core.diagnosis.motion.delay_fit import fitted
 from stillcal.calib_core.diagnosis.motion.time_offset import ARM, Shown, power_over_delays, shown_in_motion
-from stillcal.calib_core.diagnosis.motion.turning_windows import Motion, on_limits, turning_windows
+from stillcal.calib_core.diagnosis.motion.turning_windows import (
+    Motion,
+    RateNoise,
+    _part_of_motion,
+    on_limits,
+    turning_windows,
+)
 from stillcal.calib_core.diagnosis.segments.static_bins import cut
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turning import ups
@@ -228,6 +234,17 @@ def test_rates_whose_noise_is_not_white_make_no_arm_shorter(spoil: Callable[[Arr
     assert float(np.asarray(only.parameters["position"].value) @ arm / (arm @ arm)) == pytest.approx(
         1.0, abs=0.15
     )
+
+
+def test_noise_at_rest_is_mixed_and_stretched_as_rates_are_when_they_are_calibrated() -> None:
+    noise = RateNoise(np.array([0.0, 10.0]), np.array([[1.0, 10.0, 100.0], [3.0, 30.0, 300.0]]))
+    mixed = noise.at(np.array([5.0]), 0.5 * np.eye(3)[[1, 2, 0]])
+    np.testing.assert_allclose(mixed, [[5.0, 50.0, 0.5]])
+
+
+def test_a_frequency_counts_as_far_as_it_is_motion_and_not_where_a_fifth_of_it_is_noise() -> None:
+    power = np.full(4, 10.0)
+    np.testing.assert_allclose(_part_of_motion(power, np.array([0.0, 1.0, 1.9, 2.1])), [1.0, 0.9, 0.81, 0.0])
 
 
 def smoothly(seed: int, arm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> tuple[Array, Array]:
