@@ -19,6 +19,9 @@ from stillcal.calib_core.maths.rms import rms
 
 Mask = NDArray[np.bool_]
 
+UNTOLD = 1.0
+"""Standard error of a parameter that no piece tells, in m, s or as a gain: none is as large."""
+
 PARTS = 40
 """Groups of pieces that are left out in turn."""
 
@@ -52,6 +55,14 @@ def _slope(t: Array, rate: Array) -> Array:
 def slope_power(angle: Array) -> Array:
     """Return the power of `_slope` times an interval squared, at `angle` rad from sample to sample."""
     return np.asarray((np.sin(angle) * (1.0 + (1.0 - np.cos(angle)) / 3.0)) ** 2)
+
+
+def solved(information: Array, target: Array) -> Array:
+    """Return the solution (k, ...) of normal equations (k, k); 0 for parameters that have no information."""
+    told = np.flatnonzero(information.diagonal() > 0.0)
+    out = np.zeros(target.shape)
+    out[told] = np.linalg.solve(information[np.ix_(told, told)], target[told])
+    return out
 
 
 def _cross_matrix(v: Array) -> Array:
@@ -91,11 +102,12 @@ class Regression:
         return replace(self, shared=np.sum([np.einsum("nij,nim->jm", d, e) for d, e in pairs], axis=0))
 
     def fitted(self, pieces: Mask | None = None) -> Array:
-        """Return the parameters (k,) that fit the pieces chosen by (K,) bool, all by default."""
+        """Return the parameters (k,) that fit the pieces chosen by (K,) bool, all by default.
+
+        What none of these tells, its column being nothing in all of them, is 0.
+        """
         use = np.ones(len(self.power), dtype=bool) if pieces is None else pieces
-        return np.asarray(
-            np.linalg.solve(self.information[use].sum(axis=0), self.target[use].sum(axis=0)), dtype=np.float64
-        )
+        return solved(self.information[use].sum(axis=0), self.target[use].sum(axis=0))
 
     def through(self, mixed: Array) -> Regression:
         """Return the same for columns that are mixtures of these: (k, m), a column each."""
@@ -130,8 +142,10 @@ class Regression:
         )
         away = others - others.mean(axis=0)
         n = chosen.size
-        common = np.linalg.solve(self.information.sum(axis=0), self.shared)
-        covariance = (n - 1) / n * away.T @ away + common @ common.T + 1e-12 * np.eye(others.shape[1])
+        information = self.information.sum(axis=0)
+        common = solved(information, self.shared)
+        least = np.where(information.diagonal() > 0.0, 1e-12, UNTOLD**2)
+        covariance = (n - 1) / n * away.T @ away + common @ common.T + np.diag(least)
         total = float(self.power.sum())
         return self.fitted(), covariance, explained / total if total else 0.0
 

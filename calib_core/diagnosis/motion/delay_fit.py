@@ -12,7 +12,7 @@ import numpy as np
 
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.motion.axis_delays import ALIKE, AxisDelays
-from stillcal.calib_core.diagnosis.motion.block_regression import Regression
+from stillcal.calib_core.diagnosis.motion.block_regression import Regression, solved
 from stillcal.calib_core.diagnosis.motion.delay_trend import DelayTrend
 from stillcal.calib_core.diagnosis.motion.heterogeneity import Spectrum, disagreement
 from stillcal.calib_core.diagnosis.motion.turning_windows import LONGEST, WINDOW, Motion, Window, smoothed
@@ -171,7 +171,7 @@ class Weighed:
         target = self.sums.target.sum(axis=0)
         target[-delays.size :] -= USUAL**-2.0 * delays
         information = self.sums.information.sum(axis=0) + np.diag(held)
-        return np.asarray(np.linalg.solve(information, target)[-delays.size :])
+        return solved(information, target)[-delays.size :]
 
     def apart(self, terms: Sequence[Spectrum]) -> float:
         """Return the standard error of a term's size that its scatter makes; terms: (f, 3) a window."""

@@ -23,13 +23,16 @@ def disagreement(term: Spectrum, left: Spectrum, frequency: Array) -> float:
     """Return the standard error of a term's size that its scatter over bands and directions makes.
 
     term: (K, f, 3), what it does to K windows' spectra at a size of one, and left: (K, f, 3), what the fit
-    leaves of them, both weighed so that noise is one; frequency: (f,) Hz.
+    leaves of them, both weighed so that noise is one; frequency: (f,) Hz. A term that is nothing scatters by
+    nothing.
     """
     band = np.digitize(frequency, LOWEST * 2.0 ** np.arange(OCTAVES))
     cell = (band[:, None] * 3 + np.arange(3)).ravel()
     information = np.bincount(cell, (np.abs(term) ** 2).sum(axis=0).ravel())
     pull = np.bincount(cell, (np.conj(term) * left).real.sum(axis=0).ravel())
     seen = information > 0.0
+    if not seen.any():
+        return 0.0
     away, weight = pull[seen] / information[seen], 2.0 * information[seen] / TAPERED
     total = weight.sum()
     excess = float(weight @ away**2) - (away.size - 1)

@@ -33,6 +33,9 @@ LEAST_ERROR = 2e-4
 DELIVERED = "the stamps come in bursts: they say when samples were delivered, not when they were measured"
 """Why nothing is looked for: in a burst a turn seems faster than it was, by more than a delay or an arm."""
 
+NOISY = "the noise of its rates hides how it turns"
+"""Why nothing is looked for: in turns there is no frequency at which most of the rate is motion."""
+
 ARM = np.array([True, True, True, False])
 """The columns of an arm; the fourth is the delay's."""
 
@@ -76,8 +79,8 @@ def shown_in_motion(
     if bunched(accelerometer.t) or bunched(gyroscope.t):
         return Shown([], why_none=DELIVERED)
     motion = Motion.of(accelerometer, gyroscope, affine, gravity, spoiled, noise=noise)
-    if len(motion.windows) < LEAST_WINDOWS:
-        return Shown([])
+    if sum(w.moves.any() for w in motion.windows) < LEAST_WINDOWS:
+        return Shown([], why_none=NOISY if len(motion.windows) >= LEAST_WINDOWS else "")
     interval = sample_period(gyroscope.t)
     fit = fitted(motion)
     where = Where(*motion.span(), (0.1, 0.5 / interval), "rate of turn")

@@ -26,7 +26,7 @@ from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.moments import moves
 from stillcal.calib_core.diagnosis.model.rotation_alignment import LEAST_TURNS
 from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
-from stillcal.calib_core.diagnosis.motion.time_offset import DELIVERED, LEAST_WINDOWS
+from stillcal.calib_core.diagnosis.motion.time_offset import DELIVERED, LEAST_WINDOWS, NOISY
 from stillcal.calib_core.diagnosis.motion.turning_windows import WINDOW, turning_windows
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.noise.lines.line import middle_hz
@@ -334,6 +334,8 @@ def of_motion(exam: Examination) -> Iterator[Check]:
             within = " within the sensors' limits" if limited else ""
             spans = f"{_counted(have, 'span')} of {WINDOW:.0f} s that the samples follow{within}"
             why = f"the phone turns in {spans}, {LEAST_WINDOWS} are needed"
+        elif exam.why_no_delay == NOISY:
+            why = NOISY
     # Where the turns do not agree about a delay, none is known, though it was looked for.
     untold = {DELAY: exam.why_no_delay or None}
     yield from (

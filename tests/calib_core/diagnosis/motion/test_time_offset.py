@@ -12,13 +12,21 @@ from scipy.signal import butter, lfilter, sosfilt, sosfiltfilt
 from scipy.spatial.transform import Rotation
 
 from stillcal.calib_core.arrays import Array, frozen
+from stillcal.calib_core.diagnosis.comparison.coverage.looked_for import of_motion
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.model.records import Finding
 from stillcal.calib_core.diagnosis.model.rotation_alignment import aligned
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.motion.block_regression import PARTS
+from stillcal.calib_core.diagnosis.motion.block_regression import PARTS, UNTOLD
 from stillcal.calib_core.diagnosis.motion.delay_fit import fitted
-from stillcal.calib_core.diagnosis.motion.time_offset import ARM, Shown, power_over_delays, shown_in_motion
+from stillcal.calib_core.diagnosis.motion.group_delay import DELAY
+from stillcal.calib_core.diagnosis.motion.time_offset import (
+    ARM,
+    NOISY,
+    Shown,
+    power_over_delays,
+    shown_in_motion,
+)
 from stillcal.calib_core.diagnosis.motion.turning_windows import (
     Motion,
     RateNoise,
@@ -275,6 +283,25 @@ def test_where_columns_are_noise_they_say_nothing(seed: int, arm: tuple[float, f
     measured = [np.asarray(f.parameters["position"].value) for f in found if f.effect == "lever_arm"]
     assert len(measured) == any(arm)
     assert all(np.abs(one - arm).max() < 8e-3 for one in measured)
+
+
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_a_gyroscope_that_reads_noise_alone_is_said_to_and_ends_nothing(noise: float) -> None:
+    accelerometer, gyroscope = played(4)
+    rate = np.random.default_rng(4).normal(0.0, noise, gyroscope.xyz.shape)
+    exam = examine(accelerometer, replace(gyroscope, xyz=frozen(rate)), sought=())
+    assert exam.delay is None and exam.why_no_delay == NOISY
+    told = {(c.effect, c.reason) for c in of_motion(exam)}
+    assert told == {(DELAY, NOISY), ("lever_arm", NOISY)}
+
+
+def test_turns_about_one_axis_leave_the_arm_along_it_unknown() -> None:
+    """Along the axis an arm does nothing, whatever it is; noise that seemed to do something is left out."""
+    accelerometer, gyroscope = played(12)
+    about_z = Samples.checked(Sensor.GYROSCOPE, gyroscope.t, gyroscope.xyz * [0.0, 0.0, 1.0])
+    arms = fitted(Motion.of(accelerometer, about_z, None, G, ())).last.sums.only(ARM)
+    arm, covariance, _ = arms.jackknifed(PARTS)
+    assert arm[2] == 0.0 and covariance[2, 2] == UNTOLD**2 and np.isfinite(covariance).all()
 
 
 def test_an_axis_that_is_late_by_itself_is_no_delay_of_the_sensor() -> None:
