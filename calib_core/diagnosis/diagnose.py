@@ -284,7 +284,7 @@ def _with_motion(
         motion = Shown([], why_none=OTHER_AXES)
     said = {(f.effect, f.sensor) for f in direct}
     stated = [*exam.statements, *(Stated(f) for f in motion.findings if (f.effect, f.sensor) not in said)]
-    turns, about = None if exam.exchanged or exam.zone_at_rest else turns, None
+    turns, about = None if exam.turns_untold else turns, None
     if affine is not None and turns is not None:
         searched_for = turn_statements(turns, without) if in_turns else of_turns
         found, about = about_effects(searched_for, (affine, turns), rates, turned)
@@ -350,7 +350,7 @@ def _of_steps(exam: Examination) -> list[Span]:
 
 def _turn_errors(exam: Examination) -> Finding | None:
     """Return turns that no gyroscope with the effects found explains."""
-    if exam.aligned is None or exam.exchanged or exam.zone_at_rest:
+    if exam.aligned is None or exam.turns_untold:
         return None
     known = off_bins(exam.bins, Known.among(exam.statements))
     found = [s.hypothesis for s in exam.statements if s.hypothesis and s.residuals and s.residuals.turns]

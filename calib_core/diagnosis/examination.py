@@ -66,6 +66,11 @@ class Examination:
         return any(s.hidden for s in self.streams if s.sensor == "gyro")
 
     @property
+    def turns_untold(self) -> bool:
+        """Whether turns say nothing of scales: axes are exchanged, or the gyroscope's bias is not known."""
+        return bool(self.exchanged) or self.zone_at_rest
+
+    @property
     def with_turns(self) -> list[SensorResiduals]:
         """The residuals of both sensors, and those of the turns where there are any."""
         return [*self.sensors, *([self.turns] if self.turns else [])]

@@ -280,12 +280,11 @@ def _near_variances(
     still = np.ones(first.size, dtype=bool) if moving is None else moving == 0.0
     own, common = _own_and_common(values, first[still], last[still])
     # Chi-squared: what one in twenty exceeds.
-    variance = np.where(own > _times_exceeded(0.05, _freedom(first, last)) * common, own, common)
+    louder = own > _times_exceeded(0.05, _freedom(first, last)) * common
+    variance, centre = common, (first + last) / 2.0
     if moving is not None:
-        centre, every = (first + last) / 2.0, np.empty((first.size, values.shape[1]))
-        every[still] = variance
-        every[~still] = np.stack([np.interp(centre[~still], centre[still], c) for c in common.T], axis=1)
-        variance = every
+        variance = np.stack([np.interp(centre, centre[still], c) for c in common.T], axis=1)
+    variance[still] = np.where(louder, own, common)
     return np.asarray(np.maximum(variance / (last - first)[:, None], least**2))
 
 

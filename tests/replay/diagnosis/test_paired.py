@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.comparison.pair import compare
 from stillcal.calib_core.diagnosis.comparison.pair.measured import Alone, each_alone
+from stillcal.calib_core.diagnosis.comparison.pair.mounting import shared_as_it_is
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
@@ -28,6 +29,7 @@ from stillcal.replay.diagnosis.pair.paired import judge_paired
 from stillcal.replay.diagnosis.pair.readings import (
     less,
     mean_readings,
+    readings_of,
     refuse_itself,
     refuse_other_motion,
 )
@@ -339,6 +341,8 @@ def test_a_gyroscope_of_another_range_or_with_other_axes_is_not_another_motion(c
     """It shared 0 % of the motion by its rates, though both accelerometers read the same of it."""
     sim = with_rate(turned(2), lambda rate: replace(rate, xyz=frozen(rate.xyz @ change)))
     refuse_other_motion(turned(1), sim)
+    shared = shared_as_it_is(readings_of(turned(1)), readings_of(sim))
+    assert shared is not None and shared > 0.99
 
 
 @pytest.mark.parametrize(("by", "said"), [(0.05, "50 ms later"), (-0.05, "50 ms earlier")])

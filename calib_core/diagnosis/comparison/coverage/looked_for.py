@@ -189,11 +189,11 @@ def _obstacles(exam: Examination, effect: str, sensor: str) -> Iterator[Conditio
         why = "its rests are brief: a hand that holds it turns it by as much"
         yield bins.held and sensor == "gyro", why
         yield bins.breathes and sensor == "gyro", "it is turned to and fro in its rests by as much"
-    if effect in OF_TURNS:
+    if effect in OF_TURNS and exam.turns is None:
         have = 0 if exam.aligned is None else telling(exam.aligned)
         turns = _counted(have, "turn")
         yield (
-            exam.turns is None,
+            True,
             f"{turns} from rest to rest can be used, {LEAST_TURNS} are needed"
             " (those about the vertical do not count)",
         )
