@@ -106,14 +106,14 @@ class _Phone:
 
     def warmup(self, finding: Finding) -> None:
         """Put in a settling. The phone's bias is that of the start: where the settled one stays, it moves."""
-        before = self._amplitude(finding)
+        before = self._own(finding, "amplitude")
         self.other(finding)
         if finding.get("reference", {}).get(SETTLED):
-            self._add_bias(finding, before - self._amplitude(finding))
+            self._add_bias(finding, before - self._own(finding, "amplitude"))
 
-    def _amplitude(self, finding: Finding) -> Array:
-        """Return the amplitude (3,) of the phone's settling of a finding's sensor, 0 where it has none."""
-        own = [msgspec.structs.asdict(e)["amplitude"] for e in self.phone.effects if _is_of(e, finding)]
+    def _own(self, finding: Finding, name: str) -> Array:
+        """Return a number (3,) of the phone's effect that a finding is of, 0 where it has none."""
+        own = [getattr(e, name) for e in self.phone.effects if _is_of(e, finding)]
         return sum(map(np.asarray, own), np.zeros(3))
 
     def white(self, finding: Finding) -> None:
@@ -139,13 +139,19 @@ class _Phone:
         note_change(self._fixed, place, before, after)
 
     def walk(self, finding: Finding) -> None:
-        """Give the phone's own random walk the recording's density; an effect stays one."""
+        """Give the phone the recording's density: its effect, beside its own walk, or its own walk alone."""
         noise = self._sensor(finding).noise
-        before = per_axis(noise.random_walk)
-        if not before.any() or any(_is_of(e, finding) for e in self.phone.effects):
+        before, effect = per_axis(noise.random_walk), self._own(finding, WHITE)
+        gone = finding["relation"] == "superfluous"
+        wanted = np.zeros(3) if gone else recorded(finding, WHITE)
+        if effect.any() and not gone:
+            beside = np.sqrt(np.maximum(np.square(wanted) - np.square(before), 0.0))
+            self.other({**finding, "difference": {WHITE: {"value": (beside - effect).tolist()}}})
+            return
+        if effect.any() or not before.any():
             self.other(finding)
             return
-        after = on_its_axes(finding, recorded(finding, WHITE), before)
+        after = on_its_axes(finding, wanted, before)
         self._set_noise(finding, random_walk=_vector(after))
         note_change(self._fixed, f"{finding['sensor']}.noise.random_walk", before, after)
 

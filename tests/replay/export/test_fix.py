@@ -357,16 +357,24 @@ def test_a_random_walk_is_written_as_it_was_found(tool: str, text: str, written:
 
 
 OF_EFFECT = '[[effect]]\nname = "gyro_bias_random_walk"\ndensity = [2e-6, 2e-6, 2e-6]\n'
+OWN_WALK = "[gyro.noise]\nrandom_walk = 3e-6\n\n"
 
 
-@pytest.mark.parametrize("text", ["", OF_EFFECT, "[gyro.noise]\nrandom_walk = 1e-6\n\n" + OF_EFFECT])
+@pytest.mark.parametrize("text", ["", OF_EFFECT, OWN_WALK + OF_EFFECT])
 def test_a_phone_without_a_walk_of_its_own_or_with_one_as_an_effect_gets_the_effect(text: str) -> None:
-    simulated = [2e-6 if text else 0.0] * 3
+    """Walks are added in power: 4e-6 beside the phone's own 3e-6 is what a recording of 5e-6 has."""
+    simulated = [2.4e-6 if text else 0.0] * 3
     walk = finding("gyro_bias_random_walk", "gyro", {"density": ([5e-6] * 3, simulated)})
     made = fixed("phone", text, walk)
     (effect,) = tomllib.loads(made.text)["effect"]
-    assert effect["density"] == pytest.approx([5e-6] * 3)
-    assert ("random_walk = 1e-6" in made.text) == ("noise" in text)
+    assert effect["density"] == pytest.approx([4e-6 if OWN_WALK in text else 5e-6] * 3)
+    assert ("random_walk = 3e-6" in made.text) == (OWN_WALK in text)
+
+
+def test_a_superfluous_walk_of_the_phone_s_own_is_taken_out_on_its_axes() -> None:
+    walk = finding("gyro_bias_random_walk", "gyro", {"density": ([0.0] * 3, [3e-6] * 3)}, "superfluous", "xz")
+    made = fixed("phone", OWN_WALK, {**walk, "parameters": {}})
+    assert tomllib.loads(made.text)["gyro"]["noise"]["random_walk"] == [0.0, 3e-6, 0.0]
 
 
 def test_a_density_of_a_walk_is_no_white_noise_beside_slow_noise() -> None:
