@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 import numpy as np
 
 from stillcal.calib_core.arrays import Array
-from stillcal.calib_core.diagnosis.comparison.linear.shifts import SHIFTED, moved_rows
+from stillcal.calib_core.diagnosis.comparison.linear.shifts import SHIFTED, Shifted, moved_rows
 from stillcal.calib_core.diagnosis.comparison.quantity import Key, Quantity, posterior, subtract
 from stillcal.calib_core.diagnosis.model.settings import CERTAIN
 from stillcal.calib_core.diagnosis.segments.static_bins import Bins
@@ -64,17 +64,18 @@ def mean_temperatures(recorded: Bins, simulated: Bins, steady: Collection[str]) 
 
 
 def crossing_temperatures(
-    sides: Sequence[Mapping[Key, Quantity]], reference: Mapping[str, float]
+    sides: Sequence[Mapping[Key, Quantity]], reference: Mapping[str, float], shifted: Shifted = SHIFTED
 ) -> dict[str, float]:
     """Return, by sensor, the degC at which the constants of both agree best, where their slopes differ.
 
     A slope that is missing has a temperature at which it adds nothing. At any other one the bias (or scale)
     would seem to differ too. It is the least squares crossing of the lines of both, with a prior about the
     mean. Lines that meet beyond `FARTHEST` standard deviations of it differ anyway, and the mean is kept.
+    shifted: the constants that temperature moves, by effect.
     """
     out = {}
     for sensor, mean in reference.items():
-        lines = [line for effect in SHIFTED if (line := _line(sides, effect, sensor)) is not None]
+        lines = [a for effect in shifted if (a := _line(sides, effect, sensor, shifted)) is not None]
         pull = sum(float(slope @ weight @ away) for slope, weight, away in lines)
         steep = sum(float(slope @ weight @ slope) for slope, weight, _ in lines)
         warmer = -pull / (steep + CROSSING_SPREAD_K**-2.0)
@@ -84,7 +85,7 @@ def crossing_temperatures(
 
 
 def _line(
-    sides: Sequence[Mapping[Key, Quantity]], effect: str, sensor: str
+    sides: Sequence[Mapping[Key, Quantity]], effect: str, sensor: str, shifted: Shifted
 ) -> tuple[Array, Array, Array] | None:
     """Return how two recordings' constants differ by temperature: None where an effect's slopes do not.
 
@@ -97,7 +98,7 @@ def _line(
     slope, constant = (subtract(sides[0][key], sides[1][key]) for key in keys)
     if posterior(slope.log_bayes_factor, len(sides[0])) < CERTAIN:
         return None
-    rows = moved_rows(effect)
+    rows = moved_rows(effect, shifted)
     spread = constant.covariance[np.ix_(rows, rows)] + np.diag(constant.recorded.tolerance[rows] ** 2)
     # A scale is that of the correction: what the sensor gains it loses.
     change = -slope.value[:3] if "_scale_" in effect else slope.value[:3]

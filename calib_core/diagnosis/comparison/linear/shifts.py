@@ -19,6 +19,9 @@ from stillcal.calib_core.diagnosis.model.hypothesis import (
     rows_of,
 )
 
+Shifted = Mapping[str, tuple[tuple[int, ...], float]]
+"""By effect, which constants of a fit it moves, by axis, and the sign."""
+
 BIAS_SHIFTED = ((0, 1, 2), 1.0)
 """What an effect on the bias moves by, as in `SHIFTED`."""
 
@@ -32,9 +35,9 @@ SHIFTED = {
 axis, and the sign (the accelerometer's scale is that of the correction: what the sensor gains it loses)."""
 
 
-def moved_rows(effect: str) -> NDArray[np.int64]:
+def moved_rows(effect: str, shifted: Shifted = SHIFTED) -> NDArray[np.int64]:
     """Return which numbers (3,) of a bias or a scale an effect of temperature moves, axis by axis."""
-    rows = np.array(SHIFTED[effect][0])
+    rows = np.array(shifted[effect][0])
     return np.asarray(rows - rows[0])
 
 
@@ -53,7 +56,7 @@ def at_reference(
     hypotheses: Sequence[Hypothesis],
     reference_c: float | None,
     about: Mapping[str, float],
-    shifted: Mapping[str, tuple[tuple[int, ...], float]] = SHIFTED,
+    shifted: Shifted = SHIFTED,
 ) -> Array:
     """Return the matrix that takes constants and polynomials about a driver's mean to the reference.
 

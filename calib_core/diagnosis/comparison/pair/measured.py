@@ -66,8 +66,8 @@ def measured_in_pair(exam: Examination, residuals: SensorResiduals) -> Sizes:
     """Return bias and scale, and every named effect found in a sensor's residuals with its finding.
 
     They are of the one sensor less the other. An effect may come twice: each step has its own moment. Where
-    the bias follows temperature, it is that at the temperature where both agree best, if they do agree there;
-    where it settles, that of the start or the settled one.
+    bias or scale follow temperature, they are those at the temperature where both agree best, if they do agree
+    there; where the bias settles, it is that of the start or the settled one.
     """
     fit = _fitted(exam, residuals)
     return _sizes_at(exam, residuals, fit, _reference(exam, residuals, fit))
@@ -118,26 +118,29 @@ def none_of(quantity: Quantity) -> Quantity:
 
 
 def _reference(exam: Examination, residuals: SensorResiduals, fit: Fitted) -> Reference:
-    """Return where both biases agree best: elsewhere they would only repeat that temperature moves one."""
+    """Return where bias and scale of both agree best: elsewhere they only repeat what temperature does."""
     sensor = residuals.sensor
     bias, best = (f"{sensor}_bias", sensor), Reference(residuals.moments.history.reference_c)
     if best.temperature_c is not None:
         mean = {sensor: best.temperature_c}
-        crossing = crossing_temperatures(_biases(exam, residuals, fit, best), mean) or mean
+        crossing = crossing_temperatures(_moved(exam, residuals, fit, best), mean, SHIFTED) or mean
         there = Reference(crossing[sensor])
-        best = there if agree(_biases(exam, residuals, fit, there), bias) else best
+        sides = _moved(exam, residuals, fit, there)
+        constants = [(effect.removesuffix("_temperature"), sensor) for effect in SHIFTED]
+        best = there if all(agree(sides, constant) for constant in constants) else best
     if any(isinstance(h.effect, Warmup) for h in fit[0]):
         later = replace(best, settled=True)
-        best = min(best, later, key=lambda at: apart(_biases(exam, residuals, fit, at), bias))
+        best = min(best, later, key=lambda at: apart(_moved(exam, residuals, fit, at), bias))
     return best
 
 
-def _biases(
+def _moved(
     exam: Examination, residuals: SensorResiduals, fit: Fitted, reference: Reference
 ) -> tuple[dict[Key, Quantity], dict[Key, Quantity]]:
-    """Return the bias and what temperature does to it, of the one sensor and of the other."""
+    """Return bias, and scale if temperature moves it, with what that does, of the one and of the other."""
     constants, effects = _sizes_at(exam, residuals, fit, reference)
-    kept = {f"{residuals.sensor}_bias", f"{residuals.sensor}_bias_temperature"}
+    followed = {q.effect for _, q in effects} & SHIFTED.keys()
+    kept = {f"{residuals.sensor}_bias"} | followed | {e.removesuffix("_temperature") for e in followed}
     own = [q for q in (*constants, *(q for _, q in effects)) if q.effect in kept]
     one, other = ({(q.effect, q.sensor): q for q in side} for side in (own, map(none_of, own)))
     return one, other

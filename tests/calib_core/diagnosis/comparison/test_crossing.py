@@ -6,7 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from stillcal import diagnose
 from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.linear.reference_point import crossing_temperatures
 from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
@@ -63,3 +65,24 @@ def test_a_gyroscopes_scale_is_nine_numbers_of_which_temperature_moves_the_diago
     simulated = {(q.effect, "gyro"): replace(q, value=np.zeros(q.value.size)) for q in (scale, slope)}
     found = crossing_temperatures([recorded, simulated], {"gyro": 24.0})
     assert found == {"gyro": pytest.approx(18.0, abs=0.5)}
+
+
+def test_of_one_motion_a_scale_that_follows_temperature_is_not_repeated_as_a_scale() -> None:
+    """It was compared where the biases agree, at the mean temperature, and there it differs."""
+    rng, n = np.random.default_rng(5), 12 * 600
+    turn = Rotation.random(12, rng)[np.repeat(np.arange(12), 600)]
+    warm = 27.0 + 7.0 * np.sin(np.arange(n) / n * 9.0) ** 2
+    force = turn.inv().apply([0.0, 0.0, 9.80665])
+
+    def read(gain: Array) -> dict[str, Array]:
+        read = force * (1.0 + gain) + rng.normal(0.0, 0.005, (n, 3))
+        return {
+            "t": np.arange(n) / 20.0,
+            **dict(zip(("ax", "ay", "az"), read.T, strict=True)),
+            "temperature": warm,
+        }
+
+    real, sim = read((warm - 27.0)[:, None] * [4e-4, 3e-4, -4e-4]), read(np.zeros((n, 3)))
+    (found,) = diagnose(real, simulated=sim, paired=True).findings
+    assert found["effect"] == "accel_scale_temperature"
+    assert "It adds nothing at 27.0 °C" in found["statement"]
