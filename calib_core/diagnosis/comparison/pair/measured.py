@@ -66,8 +66,8 @@ def measured_in_pair(exam: Examination, residuals: SensorResiduals) -> Sizes:
     """Return bias and scale, and every named effect found in a sensor's residuals with its finding.
 
     They are of the one sensor less the other. An effect may come twice: each step has its own moment. Where
-    bias or scale follow temperature, they are those at the temperature where both agree best, if they do agree
-    there; where the bias settles, it is that of the start or the settled one.
+    bias or scale follow temperature, they are those at the temperature where both agree best, if they do
+    agree there; where the bias settles, it is that of the start or the settled one.
     """
     fit = _fitted(exam, residuals)
     return _sizes_at(exam, residuals, fit, _reference(exam, residuals, fit))
