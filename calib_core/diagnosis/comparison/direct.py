@@ -27,6 +27,7 @@ from stillcal.calib_core.diagnosis.noise.coloured_noise import DRIVER as COLOURE
 from stillcal.calib_core.diagnosis.noise.coloured_noise import Coloured
 from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched, sample_period
+from stillcal.calib_core.diagnosis.segments.value_grid import keeps_to
 from stillcal.calib_core.diagnosis.slow.turns.turn_errors import DRIVER as TURNS
 from stillcal.calib_core.diagnosis.stamps.clock import LEAST_SHARE as LEAST_BURSTS
 from stillcal.calib_core.diagnosis.stamps.clock import stamped_share
@@ -265,7 +266,8 @@ def step_of_other(finding: Finding, other: Examination) -> Finding | None:
     """Return a finding of coarse values with the step of another recording, where that has coarse steps too.
 
     Under louder noise, as at a higher rate, the same step is no finding, and one coarser than its noise may
-    be a usual one. None where the step is another, and finer than its noise.
+    be a usual one; codes that were rounded a second time have two. None where the step is another, and finer
+    than its noise.
     """
     streams = [s for s in other.streams if s.sensor == finding.sensor]
     if not finding.effect.endswith(COARSE) or not streams:
@@ -275,7 +277,9 @@ def step_of_other(finding: Finding, other: Examination) -> Finding | None:
     step, noise = (float(np.median(each[axes])) for each in (steps.step, steps.sd))
     ratio = step / float(np.asarray(own.value))
     if abs(ratio - 1.0) > ALIKE and not 0.0 < noise < step:
-        return None
+        whole = float(np.asarray(own.value))
+        kept = any(keeps_to(streams[0].samples.xyz[:, a], whole) for a in range(len(AXES)))
+        return finding if kept else None
     low, high = np.ravel(own.ci95) * ratio
     return replace(finding, parameters={"step": Parameter(step, [float(low), float(high)], own.unit)})
 

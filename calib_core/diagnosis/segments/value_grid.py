@@ -20,8 +20,15 @@ FEW = 0.05
 OFF = 0.08
 """Part of a step that gaps between values may be off its multiples, one in twenty excepted."""
 
+MOST = 0.6
+"""Part of the changes of value that are whole steps, above half: by chance one in six is."""
+
 LEAST_GAPS = 4
 """Gaps between values that tell a grid by themselves."""
+
+RARE = 0.005
+"""Part of the values on either side that are not usual ones: a rest's normal noise reaches 2.6 standard
+deviations with the others."""
 
 LEAST_CHANGES = 50
 """Changes from one value to another by which few values go to and fro."""
@@ -57,7 +64,21 @@ def step_at_rest(values: Array) -> float | None:
 
     There they reach too few codes for a comb, but to and fro between two to four numbers go only coarse ones:
     what a simulation without noise reads in two attitudes, or with the charger on and off, changes rarely.
+    Codes that were rounded a second time, as to whole mg, are apart by two gaps; of the usual values at rest
+    all may be by one.
     """
+    step = _step(values)
+    return step if step is not None or not values.size else _step(_usual(values))
+
+
+def _usual(values: Array) -> Array:
+    """Return values (n,) without the outermost ones (`RARE` of them on either side)."""
+    low, high = np.quantile(values, [RARE, 1.0 - RARE], method="nearest")
+    return np.asarray(values[(values >= low) & (values <= high)])
+
+
+def _step(values: Array) -> float | None:
+    """Return the step of values (n,) by a comb, or by how they go to and fro."""
     distinct, gaps = _gaps(_thinned(values))
     if gaps.size >= LEAST_GAPS:
         return _of_comb(distinct, gaps)
@@ -102,6 +123,17 @@ def _refined(distinct: Array, step: float) -> float:
         if multiples.any() and float(np.abs(near / step - multiples).max()) < 0.25:
             step = float(near @ multiples / (multiples @ multiples))
     return step
+
+
+def keeps_to(values: Array, step: float) -> bool:
+    """Whether most changes from one value (n,) to the next are whole steps (unit).
+
+    So they are where codes were rounded a second time, though no grid holds them all. With a step half as
+    large, half of the changes are.
+    """
+    changes = np.abs(np.diff(_thinned(values))) / step
+    changes = changes[changes > OFF]
+    return bool(changes.size and np.mean(np.abs(changes - np.rint(changes)) < OFF) > MOST)
 
 
 def rounding_error(mean: Array, variance: Array, step: Array) -> Array:

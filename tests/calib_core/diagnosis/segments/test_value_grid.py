@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.segments.value_grid import comb_step, rounding_error, step_at_rest
+from stillcal.calib_core.diagnosis.segments.value_grid import (
+    comb_step,
+    keeps_to,
+    rounding_error,
+    step_at_rest,
+)
 
 STEP = 0.05
 SAMPLES = 500
@@ -69,3 +74,22 @@ def test_values_that_go_between_few_codes_have_a_step() -> None:
     plugged = np.repeat(np.tile([0.2, 0.25], 20), 50)
     uneven = np.random.default_rng(2).choice([0.0, 1.0, 2.5], 2000)
     assert [step_at_rest(x) for x in (two_attitudes, plugged, uneven, np.full(2000, 9.8))] == [None] * 4
+
+
+def test_the_step_of_codes_that_were_rounded_a_second_time_is_that_of_the_usual_values() -> None:
+    """Counts of 41 mm/s^2 on a grid of 13.6 mm/s^2 are apart by three and, now and then, by two of it."""
+    fine = 0.04086 / 3.0
+    codes = np.rint(np.random.default_rng(0).normal(0.4, 0.7, 4000))
+    values = fine * np.where(codes < 3.0, 3.0 * codes, 3.0 * codes - 1.0)
+    assert {round(gap / fine) for gap in np.diff(np.unique(values))} == {2, 3}
+    assert step_at_rest(values) == pytest.approx(3.0 * fine, rel=1e-3)
+    assert step_at_rest(np.random.default_rng(0).normal(0.4, 0.7, 4000)) is None
+    assert step_at_rest(np.empty(0)) is None
+
+
+def test_changes_tell_a_step_though_no_grid_holds_all_values() -> None:
+    values = np.random.default_rng(0).normal(0.0, 0.7, 4000)
+    codes = np.rint(values)
+    assert keeps_to(np.where(codes < 2.0, codes, codes - 1.0 / 3.0), 1.0)
+    assert not keeps_to(values, 1.0) and not keeps_to(np.rint(2.0 * values) / 2.0, 1.0)
+    assert not keeps_to(np.zeros(100), 1.0)
