@@ -12,6 +12,7 @@ from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.inference.left_out import blocks
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.measurement import (
+    NORMAL_95,
     DirectEvidence,
     HeldOut,
     Measured,
@@ -31,7 +32,9 @@ from stillcal.calib_core.streams.samples import Samples
 SEGMENT = 256
 SHORTEST = 64
 LOWEST = 0.02
-CUTOFFS = 240
+CUTOFFS, NEAR = 240, 9
+"""Cutoffs that are tried all over the band, and within the interval of one found elsewhere."""
+
 USED_RANGE = 3.5
 LEAST_PIECES = 3
 CLEAN = 0.02
@@ -161,6 +164,20 @@ class Spectra:
         if behind is not None:
             out[:, behind.axes] = behind.shape[:, None]
         return out
+
+
+def may_be_behind(spectrum: Spectra, found: LowPass) -> bool:
+    """Whether noise behind a low-pass, found elsewhere, fits a spectrum as well as white noise does."""
+    band = spectrum.band
+    typical = np.median(spectrum.power[quietest(spectrum.power[:, band], spectrum.averages)], axis=0)
+    power, _ = _of_most_axes(typical[:, found.axes], band, float(spectrum.averages.sum()))
+    logs = np.log(np.maximum(power[band], np.finfo(np.float64).tiny))
+    reach = NORMAL_95 * found.cutoff.error
+    cutoffs = found.cutoff.value + np.linspace(-reach, reach, NEAR)
+    kinds = [kind for kind in kinds_of(spectrum.f, cutoffs, spectrum.rate) if kind.order == found.order]
+    behind = min(float((logs - np.log(kind.shapes[:, band])).var(axis=1).min()) for kind in kinds)
+    white = float(logs.var())
+    return logs.size * (behind - white) / max(white, 1e-12) < 4.0 * SHARED
 
 
 def _segment(still: Quiet) -> int:

@@ -28,9 +28,9 @@ def why_not_compared(
     wanted: Sequence[Wanted],
 ) -> str | None:
     """Say why a quantity cannot be compared; None where it can."""
-    for quantity, exam, name in zip(pair, exams, names, strict=True):
+    for quantity, other, exam, name in zip(pair, reversed(pair), exams, names, strict=True):
         if quantity is None:
-            return f"{name}: {_why_absent(key, exam, wanted)}"
+            return f"{name}: {_why_absent(key, exam, wanted, other)}"
         if not quantity.logarithmic and not quantity.informed.any():
             return f"{name}: {uninformed(key[0])}"
     one, other = pair
@@ -46,14 +46,14 @@ def why_not_compared(
     return None
 
 
-def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted]) -> str:
-    """Say why a recording has no such quantity: the first reason that applies."""
+def _why_absent(key: Key, exam: Examination, wanted: Sequence[Wanted], other: Quantity | None) -> str:
+    """Say why a recording has no such quantity: the first reason that applies. other: the other's."""
     effect, sensor = key
     drivers = [w.hypothesis.effect for w in wanted]
     unlogged = [why_not_logged(exam, e) for e in drivers if e.key == key]
     streams = [s for s in exam.streams if s.sensor == sensor]
     if effect in (white_noise.LEVEL, white_noise.LOW_PASS):
-        return white_noise.why_not_measured(effect, streams[0]) if streams else "no such sensor"
+        return white_noise.why_not_measured(effect, streams[0], other) if streams else "no such sensor"
     if effect == "held_samples" and streams and (streams[0].silent or streams[0].hidden):
         return white_noise.why_no_density(streams[0])
     if sensor == "timing":

@@ -23,7 +23,7 @@ from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
 from stillcal.calib_core.diagnosis.model.records import AT_REST, AXES, Where
 from stillcal.calib_core.diagnosis.model.settings import AXIS_SIGMA, BANDWIDTH_LIMIT, CERTAIN_NATS
-from stillcal.calib_core.diagnosis.noise.low_pass import relative_cutoff
+from stillcal.calib_core.diagnosis.noise.low_pass import may_be_behind, relative_cutoff
 from stillcal.calib_core.diagnosis.noise.noise_level import odd_one_out, ratios_to_others
 from stillcal.calib_core.diagnosis.segments.value_grid import UNIT
 from stillcal.calib_core.diagnosis.stream import Stream
@@ -49,6 +49,7 @@ SHAKEN = "what shakes its other sensor at rest shakes this one too"
 HIDDEN = "a dead zone hides what it reads at rest"
 BLURRED = "its values come in steps larger than the noise"
 UNSTEADY = "its noise differs between rests by more than chance: heavy tails, or something shakes the phone"
+TOO_SLOW = "its rate is too low to show it"
 REPEATED = "many of its values repeat the one before, and their spectrum is not that of the noise"
 
 LOW_PASS = "bandwidth"
@@ -113,12 +114,15 @@ def _density(stream: Stream, values: Array, errors: Array | None = None) -> Quan
 def _as_sure(streams: Sequence[Stream], low_passes: Sequence[Quantity | None]) -> list[Stream]:
     """Return streams without a low-pass that one of two recordings alone shows, and not surely.
 
-    What it takes off the noise would be a difference of the noise before it.
+    Nor is it sure where the other may have it as well. What it takes off the noise would be a difference of
+    the noise before it.
     """
     nats = of_one_alone(low_passes)
-    if nats is None or nats > CERTAIN_NATS:
-        return list(streams)
-    return [stream.without_low_pass() for stream in streams]
+    every = zip(streams, low_passes, reversed(low_passes), strict=True)
+    in_both = any(own is None and _within(stream, other) for stream, own, other in every)
+    if in_both or (nats is not None and nats <= CERTAIN_NATS):
+        return [stream.without_low_pass() for stream in streams]
+    return list(streams)
 
 
 def of_one_alone(low_passes: Sequence[Quantity | None]) -> float | None:
@@ -206,11 +210,22 @@ def _low_passes(streams: Sequence[Stream]) -> list[Quantity | None]:
     alone = _of_one(*filtered)
     both = [_low_pass(stream, alone) for stream in streams]
     out: list[Quantity | None] = []
-    for own, other, stream in zip(both, reversed(both), streams, strict=True):
+    for own, other, *pair in zip(both, reversed(both), streams, reversed(streams), strict=True):
         elsewhere = other is not None and not other.none
-        seen = own is not None and (not own.none or (elsewhere and _within(stream, other)))
-        out.append(own if seen else None)
+        none = elsewhere and _within(pair[0], other) and _rules_out(*pair)
+        out.append(own if own is not None and (not own.none or none) else None)
     return out
+
+
+def _rules_out(stream: Stream, other: Stream) -> bool:
+    """Whether a sensor's noise is not behind the low-pass of another recording.
+
+    Two recordings of one sensor may be just sure of its low-pass, and just not.
+    """
+    found = None if other.spectra is None else other.spectra.low_pass
+    if found is None or stream.spectra is None or stream.silent:
+        return True
+    return not may_be_behind(stream.spectra, found)
 
 
 def _filtered(stream: Stream) -> tuple[int, ...]:
@@ -305,10 +320,10 @@ def _of_higher_rate(own: Quantity | None, other: Quantity | None) -> bool:
     return len(ends) == 2 and ends[0] > (1.0 + ALIKE_CUTOFF) * ends[1]
 
 
-def why_not_measured(effect: str, stream: Stream) -> str:
-    """Say why a stream shows no quantity of its noise."""
+def why_not_measured(effect: str, stream: Stream, other: Quantity | None = None) -> str:
+    """Say why a stream shows no quantity of its noise. other: what another recording shows of it."""
     if effect == LOW_PASS and _low_pass(stream, ()) is not None and not stream.repeats_many:
-        return "its rate is too low to show it"
+        return "its noise may be behind it as well" if _within(stream, other) else TOO_SLOW
     return why_no_density(stream)
 
 

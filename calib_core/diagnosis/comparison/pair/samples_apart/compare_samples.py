@@ -113,8 +113,9 @@ def _missing(
 ) -> NotCompared:
     """Say why a quantity is not compared that one of the two does not show."""
     whys = []
-    for side, exam, name in zip(sides, exams, names, strict=True):
+    for side, other, exam, name in zip(sides, reversed(sides), exams, names, strict=True):
         if key not in side:
-            why = [white_noise.why_not_measured(key[0], s) for s in exam.streams if s.sensor == key[1]]
+            own = [s for s in exam.streams if s.sensor == key[1]]
+            why = [white_noise.why_not_measured(key[0], s, other.get(key)) for s in own]
             whys.append(f"{name}: {why[0] if why else 'no such sensor'}")
     return NotCompared(*key, "; ".join(whys))

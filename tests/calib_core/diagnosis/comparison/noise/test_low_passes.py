@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.compare_samples
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.measurement import Measured
-from stillcal.calib_core.diagnosis.noise.low_pass import LowPass
+from stillcal.calib_core.diagnosis.noise.low_pass import LowPass, may_be_behind
 from stillcal.calib_core.diagnosis.noise.noise_level import levels
 from stillcal.calib_core.streams.samples import Samples, Sensor
 from tests.support.diagnosis.turned_pairs import low_passed
@@ -106,13 +106,13 @@ def test_the_low_pass_of_repeated_values_is_compared_at_one_rate_only() -> None:
 
 
 def test_the_low_pass_of_repeated_values_is_not_compared_where_one_alone_shows_it() -> None:
-    """Of a sixth repeated some recordings have a cutoff near half the rate, and less noise behind it."""
+    """Of a sixth repeated some recordings have a cutoff near half the rate."""
     exams = held(0.17, 1), held(0.17, 5)
-    assert [side[KEY].none for side in of_both(exams)] == [False, True]
+    shown = [s.spectra is not None and s.spectra.low_pass is not None for e in exams for s in e.streams]
+    assert shown == [True, False]
     said = compare_samples(exams, ("rec", "sim"))
     assert said.discrepancies == []
-    whys = {n.effect: n.reason for n in said.not_compared}
-    assert all("repeat the one before" in whys[effect] for effect in ("bandwidth", "noise_level"))
+    assert "repeat the one before" in {n.effect: n.reason for n in said.not_compared}["bandwidth"]
 
 
 def test_the_noise_of_repeated_values_is_not_said_to_be_looked_at() -> None:
@@ -162,3 +162,22 @@ def test_low_passes_that_both_show_take_their_part_off_both() -> None:
         own = exam.streams[0].levels
         assert own is not None
         assert np.exp(side["noise_level", "accel"].value) == pytest.approx(own.values())
+
+
+def test_a_low_pass_that_the_other_may_have_as_well_is_no_difference() -> None:
+    """Two recordings of one sensor may be just sure of its low-pass, and just not."""
+    exams = [still(20.0, 1), still(20.0, 2)]
+    unsure = [replace(s, spectra=replace(s.spectra, low_pass=None)) for s in exams[1].streams if s.spectra]
+    sides = of_both([exams[0], replace(exams[1], streams=unsure)])
+    assert [KEY in side for side in sides] == [True, False]
+    assert why_not_measured("bandwidth", unsure[0], sides[0][KEY]) == "its noise may be behind it as well"
+    said = compare_samples((exams[0], replace(exams[1], streams=unsure)), ("rec", "sim"))
+    assert said.discrepancies == [] and "bandwidth" in {n.effect for n in said.not_compared}
+
+
+@pytest.mark.parametrize(("cutoff", "may_be"), [(20.0, True), (18.5, True), (None, False)])
+def test_noise_tells_whether_it_may_be_behind_a_low_pass(cutoff: float | None, may_be: bool) -> None:
+    found, spectra = (still(c, seed).streams[0].spectra for c, seed in ((20.0, 1), (cutoff, 2)))
+    assert found is not None and found.low_pass is not None and spectra is not None
+    sure = replace(found.low_pass, cutoff=Measured(found.low_pass.cutoff.value, 1.0))
+    assert may_be_behind(spectra, sure) == may_be
