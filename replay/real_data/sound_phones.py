@@ -2,6 +2,7 @@
 
     python -m stillcal.replay.real_data.sound_phones FOLDER            # how many recordings have a finding
     python -m stillcal.replay.real_data.sound_phones FOLDER --learn    # the populations, as sound_phones.toml
+    python -m stillcal.replay.real_data.sound_phones FOLDER --halves   # how many differ from half to half
 
 FOLDER holds the still experiment of Stisen et al. 2015 (index.csv, still_accel.npz). Devices are dealt into
 parts; the recordings of each part are judged by populations that were learnt from the devices of the others.
@@ -18,6 +19,8 @@ from pathlib import Path
 import click
 import numpy as np
 
+from stillcal.calib_core.diagnosis.comparison.compare import compare
+from stillcal.calib_core.diagnosis.comparison.records import Discrepancy
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.direct import quantities
 from stillcal.calib_core.diagnosis.examination import Examination
@@ -110,6 +113,13 @@ def held_out(recorded: Sequence[StillRecording], parts: int) -> list[Judged]:
     return out
 
 
+def unlike_halves(one: StillRecording) -> list[Discrepancy]:
+    """Return how the second half of a recording differs from the first, compared as its simulation."""
+    middle = len(one.samples) // 2
+    exams = [examine(part, None) for part in (one.samples[:middle], one.samples[middle:])]
+    return compare(exams[0], exams[1], ("the first half", "the second half")).discrepancies
+
+
 def works(one: StillRecording) -> bool:
     """Whether the sensor gives more than one value on every axis."""
     return all(np.unique(one.samples.xyz[:, a]).size >= LEAST_LEVELS for a in range(3))
@@ -128,13 +138,17 @@ def as_toml(devices: Mapping[Device, Mapping[str, float]]) -> str:
 @click.command()
 @click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option("--learn", is_flag=True, help="Print what the devices show, quantity by quantity.")
+@click.option("--halves", is_flag=True, help="Compare the second half of every recording with its first.")
 @click.option("--parts", type=click.IntRange(min=2), default=5, help="Parts that devices are dealt into.")
 @click.option("--verbose", is_flag=True, help="Print every finding.")
-def main(folder: Path, parts: int, *, learn: bool, verbose: bool) -> None:
+def main(folder: Path, parts: int, *, learn: bool, halves: bool, verbose: bool) -> None:
     """Count the recordings of real phones on a table that have a finding."""
     recorded = recordings(folder)
     if learn:
         click.echo(as_toml(by_device([r for r in recorded if works(r)])))
+        return
+    if halves:
+        _say_unlike(recorded)
         return
     answers = held_out(recorded, parts)
     alarmed = [a for a in answers if a.findings]
@@ -142,8 +156,8 @@ def main(folder: Path, parts: int, *, learn: bool, verbose: bool) -> None:
         one = answer.recording
         click.echo(f"{one.model} {one.device} {one.position}")
         for finding in answer.findings:
-            halves = "both halves" if finding in answer.confirmed else "not in both halves"
-            click.echo(f"  {finding.effect} ({halves}): {finding.statement}")
+            where = "both halves" if finding in answer.confirmed else "not in both halves"
+            click.echo(f"  {finding.effect} ({where}): {finding.statement}")
     counts = Counter(f.effect for a in answers for f in a.findings)
     click.echo(
         f"{len(alarmed)} of {len(answers)} recordings have a finding ({len(alarmed) / len(answers):.0%})"
@@ -151,6 +165,16 @@ def main(folder: Path, parts: int, *, learn: bool, verbose: bool) -> None:
     click.echo(", ".join(f"{name} {count}" for name, count in counts.most_common()))
     every = sum(len(a.findings) for a in answers)
     click.echo(f"{sum(len(a.confirmed) for a in answers)} of {every} findings are in both halves too")
+
+
+def _say_unlike(recorded: Sequence[StillRecording]) -> None:
+    """Print how many recordings differ from half to half, and each that does."""
+    unlike = [(one, found) for one in recorded if (found := unlike_halves(one))]
+    for one, found in unlike:
+        named = ", ".join(f"{d.effect} ({d.sensor}) {d.relation}" for d in found)
+        click.echo(f"{one.model} {one.device} {one.position}: {named}")
+    share = len(unlike) / max(len(recorded), 1)
+    click.echo(f"{len(unlike)} of {len(recorded)} recordings differ from half to half ({share:.1%})")
 
 
 if __name__ == "__main__":

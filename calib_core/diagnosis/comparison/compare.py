@@ -228,9 +228,10 @@ def _sides(exams: tuple[Examination, Examination], asked: _Asked) -> list[dict[K
             for exam, own in both
         ]
 
+    rates = sample_rate.of_both([exam.accelerometer for exam, _ in both])
     shown = [
-        linear | _wander_and_stamps(exam, own, slowest)
-        for linear, (exam, own) in zip(anew(means, False), both, strict=True)
+        linear | _wander_and_stamps(exam, own, slowest) | {(rate.effect, rate.sensor): rate}
+        for linear, (exam, own), rate in zip(anew(means, False), both, rates, strict=True)
     ]
     shown = where_both_agree(shown, means, settling, anew)
     shown = not_logged.with_unknown_temperature(shown, asked.unlogged)
@@ -295,7 +296,6 @@ def _wander_and_stamps(exam: Examination, wanted: Sequence[Wanted], slowest: flo
         found = [h for w in own if (h := proposed(residuals, w)) is not None]
         if (slow := slow_noise.slow_noise(exam, residuals, found)) is not None:
             out[slow.effect, slow.sensor] = slow
-    out["sample_rate", "timing"] = sample_rate.rate(exam.accelerometer)
     return out | stamp_quantities(exam, slowest) | delay_quantity(exam)
 
 

@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     direct_finding,
     of_counts,
     of_measured,
+    share_in_time,
     share_of,
 )
 from stillcal.calib_core.diagnosis.model.records import NAME, Finding, Parameter, Where
@@ -207,7 +208,8 @@ class Repeats:
             return Measured(0.0, max(by_steps, 1.0) / float(self.judged.sum()))
         part = float(self.judged.sum()) / total
         less, most_likely, more = (part * self._held(k) for k in (1.0 + ALLOWED, 1.0, 1.0 - ALLOWED))
-        counted = share_of(most_likely * total, total)
+        shown = self.together * (most_likely * total / max(float(self.together.sum()), 1.0))
+        counted = share_in_time(shown, total)
         return Measured(most_likely, float(np.hypot(counted.error, (more - less) / 2.0)))
 
     def _held(self, dependence: float) -> float:

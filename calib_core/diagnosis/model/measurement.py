@@ -45,6 +45,15 @@ NINE_IN_TEN = 1.2816
 """Standard deviations that nine tenths of a normal distribution lie above, below its mean."""
 
 
+IN_TIME, TOGETHER, LEAST_TOGETHER = 40, 8, 5
+"""Pieces of a recording in which hits are counted, neighbouring ones of which one mean is taken, and the
+fewest such means that tell how these scatter."""
+
+BY_CHANCE = 1.6
+"""Times their error as independent pieces that five means of eight scatter by in one case of twenty: the root
+of the 95th percentile of F with 4 and 39 degrees of freedom."""
+
+
 @dataclass(frozen=True, slots=True)
 class Measured:
     """A number with its standard error."""
@@ -82,6 +91,21 @@ def mean_of(pieces: Array, floor: float = 0.0, known: float = 0.0) -> Measured:
     return Measured(float(kept.mean()), max(error, floor))
 
 
+def mean_in_time(pieces: Array, floor: float = 0.0, known: float = 0.0) -> Measured:
+    """Return `mean_of` of pieces (n,) in the order of time, whose neighbours may be alike.
+
+    What comes and goes says how well another time is foretold: pieces that are left out of the mean count for
+    its error, and so does what goes up and down over many of them, where it does by more than chance.
+    """
+    mean, whole = mean_of(pieces, floor, known), pieces.size // TOGETHER
+    if whole < LEAST_TOGETHER:
+        return mean
+    error = max(mean.error, float(pieces.std(ddof=1) / np.sqrt(pieces.size)))
+    means = pieces[: whole * TOGETHER].reshape(whole, TOGETHER).mean(axis=1)
+    over = float(means.std(ddof=1) / np.sqrt(whole))
+    return Measured(mean.value, over if over > BY_CHANCE * error else error)
+
+
 def share_of(hits: float, trials: float, alike: float = 1.0) -> Measured:
     """Return the share of successes with the standard deviation of its posterior, Beta(1/2, 1/2) before.
 
@@ -90,6 +114,13 @@ def share_of(hits: float, trials: float, alike: float = 1.0) -> Measured:
     a, b = hits / alike + 0.5, (trials - hits) / alike + 0.5
     mean = a / (a + b)
     return Measured(hits / max(trials, 1.0), float(np.sqrt(mean * (1.0 - mean) / (a + b + 1.0))))
+
+
+def share_in_time(hits: Array, trials: float, alike: float = 1.0) -> Measured:
+    """Return `share_of` hits (n,) in the order of time, which may come and go as in `mean_in_time`."""
+    share = share_of(float(hits.sum()), trials, alike)
+    pieces = np.array([float(p.sum()) for p in np.array_split(hits, IN_TIME)]) * IN_TIME / max(trials, 1.0)
+    return Measured(share.value, max(share.error, mean_in_time(pieces).error))
 
 
 def vector(values: Array, errors: Array, unit: str) -> Parameter:

@@ -15,9 +15,9 @@ from stillcal.calib_core.diagnosis.inference.left_out import SHARE_PIECES, of_sh
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     direct_finding,
-    mean_of,
+    mean_in_time,
     of_measured,
-    share_of,
+    share_in_time,
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
@@ -41,11 +41,15 @@ LOCAL = 0.75
 FEW_TOGETHER = 1e-3
 """Part of the samples that may come together: with more, what is after a long interval may be late."""
 
-WANDERING = -0.25
-"""Correlation of neighbouring intervals half way between independent stamps (-1/2) and intervals (0)."""
+APART, WANDERING = -0.5, -0.25
+"""Correlation of neighbouring intervals where each stamp is off by itself, and half way from there to
+intervals that are (0)."""
 
-INDEPENDENT, ACCUMULATING = 6.0, 2.0
-"""Variance of second differences over that of one jitter: of stamps, and of intervals that add up."""
+NEARLY = 0.1
+"""Correlations that differ by less are one, which makes 13 % of a jitter at most."""
+
+INDEPENDENT = 6.0
+"""Variance of second differences over that of one jitter where each stamp is off by itself."""
 
 PEAK = 10.0
 """Times as many intervals at two periods than between one and two, for the former to be gaps."""
@@ -81,7 +85,8 @@ def resolution(t: Array) -> float:
 class Grid:
     """Stamps t (n,) s, the period s, how many periods (n - 1,) lie between them, their step s.
 
-    apart: (m,) second differences of neighbours in place, whose variance is `factor` times that of one stamp.
+    apart: (m,) second differences of neighbours in place, whose variance is `factor` times that of one
+    jitter: `INDEPENDENT` where each stamp is off by itself, 2 where intervals are, which add up, and between.
     told: whether the stamps tell how many periods lie between them.
     """
 
@@ -103,8 +108,8 @@ class Grid:
         multiples = None if rounded else _by_intervals(steps, near, period)
         if multiples is None:
             multiples = periods_between(t, period, step)
-        factor = _factor(steps, near if multiples is None else near & (multiples == 1.0))
-        if multiples is None and factor == ACCUMULATING:
+        correlation = _correlation(steps, near if multiples is None else near & (multiples == 1.0))
+        if multiples is None and correlation > WANDERING:
             multiples = _peaked(steps / period)
         told = multiples is not None or (
             not (rounded and rounded_or_lost(t))
@@ -114,6 +119,9 @@ class Grid:
             multiples = np.ones(steps.size)
         single = (multiples == 1.0) & (steps < 2.0 * period)
         second = np.diff(steps)[single[1:] & single[:-1]]
+        # Stamps off by s and intervals by i have intervals of the variance 2 s^2 + i^2, whose neighbours have
+        # the covariance -s^2; second differences have 6 s^2 + 2 i^2, and the jitter of one is s^2 + i^2.
+        factor = 2.0 * (1.0 - correlation) / (1.0 + correlation)
         return cls(t, period, multiples, step, second, factor, told)
 
     def mean_periods(self, parts: int) -> Array:
@@ -136,7 +144,7 @@ class Grid:
         logs = -np.log(self.mean_periods(parts))
         scatter = float(np.mean(self.apart**2)) if self.apart.size else 0.0
         of_end = np.sqrt(max(scatter / INDEPENDENT, self.step**2 / 12.0))
-        return mean_of(logs, floor, np.sqrt(2.0) * of_end * parts / (self.period * self.t.size)), logs
+        return mean_in_time(logs, floor, np.sqrt(2.0) * of_end * parts / (self.period * self.t.size)), logs
 
     @property
     def rounding(self) -> float:
@@ -157,7 +165,7 @@ class Grid:
         parts = np.array_split(self.apart, PIECES)
         own = np.array([float(np.mean(p**2) / self.factor) for p in parts])
         pieces = np.sqrt(np.maximum(own - self.rounding, 0.0))
-        sigma = mean_of(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
+        sigma = mean_in_time(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
         # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
         sorted_by = 0.15 * max(sigma.value / self.period - 0.2, 0.0) * sigma.value
         most, square = min(self.rounding, float(own.mean())), sigma.value**2
@@ -186,21 +194,22 @@ class Grid:
         """Return the same of samples (n - 1,) that were lost."""
         total = float(lost.sum())
         together = float((lost**2).sum()) / total if total else 1.0
-        return share_of(total, self.t.size + total, together)
+        return share_in_time(lost, self.t.size + total, together)
 
 
-def _factor(steps: Array, even: NDArray[np.bool_]) -> float:
-    """Return the variance of second differences over that of one jitter.
+def _correlation(steps: Array, even: NDArray[np.bool_]) -> float:
+    """Return the correlation of neighbouring intervals, `APART` to 0; `APART` where they scatter by nothing.
 
-    It is `INDEPENDENT` where each stamp is off by itself: intervals then anticorrelate by one half.
+    even: (n,) which of the intervals (n,) s hold one period. Where a large jitter makes some of two seem to,
+    it is nearer to 0, by less than `NEARLY`.
     """
     own = steps - np.median(steps[even]) if even.any() else steps
     both = even[1:] & even[:-1]
     power = float((own[1:][both] ** 2).mean()) if both.any() else 0.0
     if power <= (1e-6 * float(np.median(steps))) ** 2:
-        return INDEPENDENT
+        return APART
     together = float((own[1:][both] * own[:-1][both]).mean()) / power
-    return ACCUMULATING if together > WANDERING else INDEPENDENT
+    return APART if together < APART + NEARLY else min(together, 0.0)
 
 
 def _even(steps: Array, near: NDArray[np.bool_], period: float) -> bool:

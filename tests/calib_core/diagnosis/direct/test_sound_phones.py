@@ -16,6 +16,7 @@ from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.diagnosis.noise import noise_level
 from stillcal.calib_core.diagnosis.noise.low_pass import Quiet, judged
 from stillcal.replay.formats.hhar_still import recordings
+from stillcal.replay.real_data.sound_phones import unlike_halves
 
 WHERE = Where(0.0, 1.0, (0.0, 1.0), "noise at rest")
 
@@ -82,3 +83,28 @@ def test_two_real_phones_on_a_table_are_silent(data_dir: Path) -> None:
     assert len(silent) >= 10
     said = [s.finding.statement for r in silent for s in examine(r.samples, None).statements]
     assert said == []
+
+
+UNLIKE = (
+    ("HTC-Desire", "it-124", "Phoneonback"),
+    ("Samsung-Galaxy-S+", "it-126", "Phoneonbottom"),
+    ("Samsung-Galaxy-S+", "it-116", "Phoneonfront"),
+    ("HTC-Desire", "it-135", "Phoneonfront"),
+    ("LG-Nexus4", "it-140", "Phoneontop"),
+    ("Xsens-reference", "xsens", "Phoneonback"),
+)
+"""Recordings whose halves differed by their steps, jitter or low-pass: one half was just judged otherwise."""
+
+
+def test_halves_of_a_real_recording_do_not_differ(data_dir: Path) -> None:
+    """All 190: `python -m stillcal.replay.real_data.sound_phones FOLDER --halves`."""
+    chosen = [r for r in recordings(data_dir / "hhar_still") if (r.model, r.device, r.position) in UNLIKE]
+    assert len(chosen) == len(UNLIKE)
+    assert [(r.device, d.effect) for r in chosen for d in unlike_halves(r)] == []
+
+
+@pytest.mark.slow
+def test_few_real_recordings_differ_from_half_to_half(data_dir: Path) -> None:
+    recorded = recordings(data_dir / "hhar_still")
+    unlike = [r for r in recorded if unlike_halves(r)]
+    assert len(recorded) == 190 and len(unlike) <= 0.04 * len(recorded)

@@ -11,12 +11,15 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     HeldOut,
     Measured,
     direct_finding,
+    mean_in_time,
+    mean_of,
     of_chance,
     of_counts,
     of_fit,
     of_measured,
     of_vector,
     posterior,
+    share_in_time,
     share_of,
 )
 from stillcal.calib_core.diagnosis.model.records import Evidence, Where
@@ -116,3 +119,33 @@ def test_every_population_has_a_source_and_a_range_of_faults() -> None:
         assert one.devices.size >= 5 or one.between[0] < one.between[1], name
         if one.devices.size:
             assert 0.0 < one.width < np.ptp(one.devices), name
+
+
+def test_pieces_that_are_alike_for_a_while_leave_a_mean_less_sure() -> None:
+    """Real stamps jitter more for some seconds; taken for independent, their error was half as large."""
+    pieces = 1.0 + np.random.default_rng(2).normal(0.0, 0.1, 40)
+    assert mean_in_time(pieces) == mean_of(pieces)
+    slow = pieces + np.repeat([0.0, 1.0, 0.0, 1.0, 1.0], 8)
+    assert mean_in_time(slow).value == mean_of(slow).value
+    assert mean_in_time(slow).error > 2.0 * mean_of(slow).error
+    seldom = pieces + 9.0 * (np.arange(40) == 20)
+    assert mean_in_time(seldom).value == pytest.approx(1.0, abs=0.1)
+    assert mean_in_time(seldom).error > 5.0 * mean_of(seldom).error
+
+
+def test_the_error_of_a_mean_in_time_is_that_of_independent_pieces_where_they_are() -> None:
+    draws = np.random.default_rng(1).normal(size=(400, 40))
+    apart = np.array([m.value / m.error for m in map(mean_in_time, draws)])
+    assert np.mean(np.abs(apart) < 1.96) == pytest.approx(0.95, abs=0.03)
+
+
+def test_hits_that_come_and_go_leave_a_share_less_sure() -> None:
+    rng = np.random.default_rng(0)
+    steady = (rng.uniform(size=20_000) < 0.05).astype(float)
+    whole = share_of(float(steady.sum()), float(steady.size))
+    assert share_in_time(steady, float(steady.size)).value == whole.value
+    assert share_in_time(steady, float(steady.size)).error == pytest.approx(whole.error, rel=0.3)
+    gone = steady * (np.arange(steady.size) < 8_000)
+    once = share_of(float(gone.sum()), float(gone.size))
+    assert share_in_time(gone, float(gone.size)).value == once.value
+    assert share_in_time(gone, float(gone.size)).error > 5.0 * once.error

@@ -70,3 +70,14 @@ def test_it_stands_in_place_of_jitter() -> None:
     )
     (found,) = timing_findings(samples, Claims(nominal_rate_hz=RATE), sound_phones())
     assert found.effect == "unknown"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.5, 0.7, 1.0])
+def test_jitter_is_of_one_size_however_much_of_it_adds_up(share: float) -> None:
+    """Stamps off by themselves and intervals that are: it was 1.7 times larger where the second prevailed."""
+    rng = np.random.default_rng(0)
+    sigma, alone = 0.02 / RATE, np.sqrt([1.0 - share, share])
+    of_stamps, of_intervals = (a * rng.normal(0.0, sigma, COUNT) for a in alone)
+    found = Grid.of(EVEN + of_stamps + np.cumsum(of_intervals), 1.0 / RATE).jitter()
+    assert found is not None and found.value == pytest.approx(sigma, rel=0.13)
+    assert found.error < 0.05 * sigma
