@@ -36,12 +36,13 @@ def main(folder: Path, out: Path) -> None:
         rows = [row(s) for s in progress.track(recordings, description="diagnosing")]
         hidden = _withheld(recordings)
         table = folder / "hhar_still"
-        still = sound_phones.held_out(recordings_of(table), PARTS) if table.exists() else []
+        phones = recordings_of(table) if table.exists() else []
+        still, unlike = sound_phones.held_out(phones, PARTS), sound_phones.unlike(phones)
         hosts = [s for s in recordings if s.name in HOSTS]
         task = progress.add_task("injecting", total=len(hosts) * len(SLOW + DIRECT) * 3)
         results = inject_all(hosts, SLOW + DIRECT, lambda: progress.advance(task))
         progress.update(task, completed=len(hosts) * len(SLOW + DIRECT) * 3)
-    out.write_text(page(Shown(recordings, rows, _tables_of_rests(), hidden, results, still)))
+    out.write_text(page(Shown(recordings, rows, _tables_of_rests(), hidden, results, still, unlike)))
     click.echo(f"{out}: {len(rows)} recordings, {len(results)} injections")
 
 

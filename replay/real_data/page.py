@@ -11,7 +11,7 @@ import numpy as np
 
 from stillcal.replay.real_data import optical_reference as optical
 from stillcal.replay.real_data.injection import STRENGTHS
-from stillcal.replay.real_data.sound_phones import Judged
+from stillcal.replay.real_data.sound_phones import Judged, Unlike
 from stillcal.replay.real_data.sources import Source
 from stillcal.replay.real_data.tables import Finding, Injected, Row, agreement, tally
 from stillcal.replay.real_data.withheld_thermometer import Withheld
@@ -43,6 +43,10 @@ one attitude, or has no thermometer.
 
 {still}
 
+### One half against the other
+
+{halves}
+
 ### Tables of rests (ESGI'95)
 
 {rests}
@@ -71,7 +75,8 @@ the untouched twin of the recording says. Strengths are {strengths} times the si
 class Shown:
     """What the page shows.
 
-    rests: name, verdict, findings of tables of rests; still: phones on a table, judged by what others show.
+    rests: name, verdict, findings of tables of rests; still: phones on a table, judged by what others show;
+    unlike: those of them whose halves differ.
     """
 
     recordings: Sequence[Source]
@@ -80,6 +85,7 @@ class Shown:
     hidden: Sequence[tuple[Source, Withheld | None]]
     results: Sequence[Injected]
     still: Sequence[Judged]
+    unlike: Sequence[Unlike]
 
 
 def page(shown: Shown) -> str:
@@ -90,6 +96,7 @@ def page(shown: Shown) -> str:
         found=_findings_table(rows, device),
         optical=_optical(shown.recordings, rows),
         still=_still(shown.still),
+        halves=_halves(shown.unlike, len(shown.still)),
         rests=table(
             ("table", "verdict", "found"),
             [(name, verdict, "; ".join(map(described, f)) or "-") for name, verdict, f in shown.rests],
@@ -196,6 +203,24 @@ def _still(answers: Sequence[Judged]) -> str:
         " others commonly show. This alone:\n"
         "`python -m stillcal.replay.real_data.sound_phones $STILLCAL_DATA/hhar_still --verbose`.\n\n"
         + table(("found", "findings", "in both halves too", "recordings by model"), lines)
+    )
+
+
+def _halves(unlike: Sequence[Unlike], count: int) -> str:
+    """Say how many of `count` recordings of phones on a table differ from half to half."""
+    if not count:
+        return "(not there)"
+    lines = []
+    for effect, times in Counter(d.effect for _, found in unlike for d in found).most_common():
+        models = Counter(one.model for one, found in unlike if any(d.effect == effect for d in found))
+        lines.append((f"`{effect}`", str(times), ", ".join(f"{m} {n}" for m, n in models.most_common())))
+    share = f"{len(unlike) / count:.0%}".replace("%", " %")
+    return (
+        f"{len(unlike)} of the same {count} recordings ({share}) have a difference where the first half"
+        " is held\nagainst the second as a simulation of it: one sensor, one place, half a minute later."
+        " This alone:\n"
+        "`python -m stillcal.replay.real_data.sound_phones $STILLCAL_DATA/hhar_still --halves`.\n\n"
+        + table(("difference", "times", "recordings by model"), lines)
     )
 
 

@@ -46,6 +46,10 @@ class Judged:
     confirmed: list[Finding]
 
 
+Unlike = tuple[StillRecording, list[Discrepancy]]
+"""A recording and how its second half differs from the first."""
+
+
 def measured(samples: Samples) -> dict[str, Measured]:
     """Return what a recording measures of the quantities that populations are known of."""
     return measured_of(examine(samples, None))
@@ -120,6 +124,11 @@ def unlike_halves(one: StillRecording) -> list[Discrepancy]:
     return compare(exams[0], exams[1], ("the first half", "the second half")).discrepancies
 
 
+def unlike(recorded: Sequence[StillRecording]) -> list[Unlike]:
+    """Return the recordings whose halves differ, each with how."""
+    return [(one, found) for one in recorded if (found := unlike_halves(one))]
+
+
 def works(one: StillRecording) -> bool:
     """Whether the sensor gives more than one value on every axis."""
     return all(np.unique(one.samples.xyz[:, a]).size >= LEAST_LEVELS for a in range(3))
@@ -169,12 +178,12 @@ def main(folder: Path, parts: int, *, learn: bool, halves: bool, verbose: bool) 
 
 def _say_unlike(recorded: Sequence[StillRecording]) -> None:
     """Print how many recordings differ from half to half, and each that does."""
-    unlike = [(one, found) for one in recorded if (found := unlike_halves(one))]
-    for one, found in unlike:
+    differ = unlike(recorded)
+    for one, found in differ:
         named = ", ".join(f"{d.effect} ({d.sensor}) {d.relation}" for d in found)
         click.echo(f"{one.model} {one.device} {one.position}: {named}")
-    share = len(unlike) / max(len(recorded), 1)
-    click.echo(f"{len(unlike)} of {len(recorded)} recordings differ from half to half ({share:.1%})")
+    share = len(differ) / max(len(recorded), 1)
+    click.echo(f"{len(differ)} of {len(recorded)} recordings differ from half to half ({share:.1%})")
 
 
 if __name__ == "__main__":
