@@ -47,7 +47,7 @@ def rate(samples: Samples, *, missing: bool = True) -> Quantity:
         mean = mean_in_time(-np.log(pieces), LEAST_RATE_ERROR)
     else:
         grid = grid if missing else replace(grid, multiples=np.ones_like(grid.multiples))
-        mean = grid.mean_rate(min(PIECES, len(samples) - 1), LEAST_RATE_ERROR)[0]
+        mean = grid.mean_rate(min(PIECES, len(samples) - 1), LEAST_RATE_ERROR, mean_in_time)[0]
     return Quantity(
         "sample_rate",
         "timing",

@@ -1,10 +1,13 @@
-"""What a recording's stamps, values and noise measure, on the scales of the populations of sound phones."""
+"""What a recording's stamps, values and noise measure, on the scales of the populations of sound phones.
+
+Jitter and shares have the errors of another recording, as what comes and goes is there by chance.
+"""
 
 from __future__ import annotations
 
 from stillcal.calib_core.diagnosis.direct import quantisation
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
-from stillcal.calib_core.diagnosis.model.measurement import Measured
+from stillcal.calib_core.diagnosis.model.measurement import Measured, mean_in_time, share_in_time
 from stillcal.calib_core.diagnosis.noise import (
     gathered_noise,
     heavy_tails,
@@ -29,15 +32,15 @@ def of_stamps(samples: Samples, period: float = 0.0) -> dict[str, Measured]:
     if grid is None:
         return {}
     out = {"dropped_samples": grid.missing().log(stamps.LEAST_SHARE)} if grid.told else {}
-    sigma = grid.jitter()
+    sigma = grid.jitter(mean_in_time)
     if sigma is not None:
         relative = Measured(sigma.value / grid.period, sigma.error / grid.period)
         out["timestamp_jitter"] = relative.log(stamps.LEAST_JITTER)
     arrived = clock.arrivals(samples)
     if arrived is not None:
         every = max(round(period / grid.period), 1)
-        waited = clock.waited(samples.t[::every], arrived[::every], every * grid.period)
-        share = clock.burst_share(waited)
+        waited, together = clock.waited(samples.t[::every], arrived[::every], every * grid.period)
+        share = share_in_time(waited, float(waited.size), together)
         out["arrival_bursts"] = share.log(clock.LEAST_SHARE)
     return out
 
@@ -60,7 +63,7 @@ def grid_of(samples: Samples) -> stamps.Grid | None:
 def of_values(samples: Samples) -> dict[str, Measured]:
     """Return the share of held samples of one sensor."""
     seen = repeats.Repeats.of(samples)
-    return {} if seen is None else {"held_samples": seen.share().log(repeats.LEAST_SHARE)}
+    return {} if seen is None else {"held_samples": seen.foretold().log(repeats.LEAST_SHARE)}
 
 
 def of_noise(

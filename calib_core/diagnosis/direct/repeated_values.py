@@ -208,9 +208,14 @@ class Repeats:
             return Measured(0.0, max(by_steps, 1.0) / float(self.judged.sum()))
         part = float(self.judged.sum()) / total
         less, most_likely, more = (part * self._held(k) for k in (1.0 + ALLOWED, 1.0, 1.0 - ALLOWED))
-        shown = self.together * (most_likely * total / max(float(self.together.sum()), 1.0))
-        counted = share_in_time(shown, total)
+        counted = share_of(most_likely * total, total)
         return Measured(most_likely, float(np.hypot(counted.error, (more - less) / 2.0)))
+
+    def foretold(self) -> Measured:
+        """Return the same as another recording may have it: samples are held now and then."""
+        share, total = self.share(), float(self.n * self.together.size)
+        shown = self.together * (share.value * total / max(float(self.together.sum()), 1.0))
+        return Measured(share.value, max(share.error, share_in_time(shown, total).error))
 
     def _held(self, dependence: float) -> float:
         """Return the part h of the judged samples that is held; steps make the other repeats.

@@ -166,11 +166,11 @@ class Spectra:
         return out
 
 
-def may_be_behind(spectrum: Spectra, found: LowPass) -> bool:
-    """Whether noise behind a low-pass, found elsewhere, fits a spectrum as well as white noise does."""
+def may_be_behind(spectrum: Spectra, found: LowPass, axes: Sequence[int]) -> bool:
+    """Whether noise behind a low-pass, found elsewhere, fits some axes as well as white noise does."""
     band = spectrum.band
     typical = np.median(spectrum.power[quietest(spectrum.power[:, band], spectrum.averages)], axis=0)
-    power, _ = _of_most_axes(typical[:, found.axes], band, float(spectrum.averages.sum()))
+    power, _ = _of_most_axes(typical[:, list(axes)], band, float(spectrum.averages.sum()))
     logs = np.log(np.maximum(power[band], np.finfo(np.float64).tiny))
     reach = NORMAL_95 * found.cutoff.error
     cutoffs = found.cutoff.value + np.linspace(-reach, reach, NEAR)

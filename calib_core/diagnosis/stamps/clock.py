@@ -13,7 +13,7 @@ from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     direct_finding,
     of_measured,
-    share_in_time,
+    share_of,
 )
 from stillcal.calib_core.diagnosis.model.records import Claims, Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import SoundPhones, Usual, usual
@@ -220,7 +220,7 @@ def waited(t: Array, arrived: Array, period: float) -> tuple[Array, float]:
 def burst_share(waiting: tuple[Array, float]) -> Measured:
     """Return the share of samples that wait. waiting: from `waited`."""
     hits, together = waiting
-    return share_in_time(hits, float(hits.size), together)
+    return share_of(float(hits.sum()), float(hits.size), together)
 
 
 def _bursts(t: Array, waiting: tuple[Array, float], common: Usual, where: Where) -> Finding | None:
@@ -241,7 +241,7 @@ def stamped_share(t: Array, period: float) -> Measured:
     """Return the share of samples that are stamped, t (n,) s, on the heels of the one before."""
     heels = np.diff(t) < ON_HEELS * period
     runs = int((heels[1:] & ~heels[:-1]).sum()) + 1
-    return share_in_time(heels.astype(np.float64), float(heels.size), max(float(heels.sum()) / runs, 1.0))
+    return share_of(float(heels.sum()), float(heels.size), max(float(heels.sum()) / runs, 1.0))
 
 
 def _stamped_in_bursts(t: Array, period: float, common: Usual, where: Where) -> Finding | None:

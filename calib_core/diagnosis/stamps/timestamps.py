@@ -5,6 +5,7 @@ Stamps that come in bursts have no grid: they say when samples were delivered, a
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,9 +16,10 @@ from stillcal.calib_core.diagnosis.inference.left_out import SHARE_PIECES, of_sh
 from stillcal.calib_core.diagnosis.model.measurement import (
     Measured,
     direct_finding,
-    mean_in_time,
+    mean_of,
     of_measured,
     share_in_time,
+    share_of,
 )
 from stillcal.calib_core.diagnosis.model.records import Finding, Where
 from stillcal.calib_core.diagnosis.model.sound_phones import Usual
@@ -25,6 +27,9 @@ from stillcal.calib_core.diagnosis.segments.sample_period import rounded_or_lost
 from stillcal.calib_core.diagnosis.stamps.phase import periods_between
 from stillcal.calib_core.diagnosis.stamps.rate_changes import stretches
 from stillcal.calib_core.maths.robust import bulk
+
+Mean = Callable[[Array, float, float], Measured]
+"""Mean of pieces (n,), with a least error, and with the scatter of pieces where that is known."""
 
 PIECES = 40
 """Parts of a recording that errors are taken from: enough for a standard error known to a tenth."""
@@ -136,15 +141,16 @@ class Grid:
         ]
         return np.array([time / count if count else self.period for time, count in periods])
 
-    def mean_rate(self, parts: int, floor: float) -> tuple[Measured, Array]:
+    def mean_rate(self, parts: int, floor: float, mean: Mean = mean_of) -> tuple[Measured, Array]:
         """Return the logarithm of the mean rate, 1/s, its error at least `floor`, and that of each part.
 
-        A part is off by what its two ends are off: by rounding, or by as much as neighbours scatter.
+        A part is off by what its two ends are off: by rounding, or by as much as neighbours scatter. mean: of
+        the parts; `mean_in_time` for what another recording may have.
         """
         logs = -np.log(self.mean_periods(parts))
         scatter = float(np.mean(self.apart**2)) if self.apart.size else 0.0
         of_end = np.sqrt(max(scatter / INDEPENDENT, self.step**2 / 12.0))
-        return mean_in_time(logs, floor, np.sqrt(2.0) * of_end * parts / (self.period * self.t.size)), logs
+        return mean(logs, floor, np.sqrt(2.0) * of_end * parts / (self.period * self.t.size)), logs
 
     @property
     def rounding(self) -> float:
@@ -154,8 +160,10 @@ class Grid:
         """
         return self.step**2 / (2.0 * self.factor)
 
-    def jitter(self) -> Measured | None:
+    def jitter(self, mean: Mean = mean_of) -> Measured | None:
         """Return the scatter of single stamps, s, what rounding does taken off; None with too few.
+
+        mean: of the parts; `mean_in_time` for what another recording may have.
 
         Rounded even stamps repeat a pattern: the mean square of `apart` is anything between 0 and step^2, so
         what is taken off may be off by itself either way, which is taken for two standard deviations.
@@ -165,7 +173,7 @@ class Grid:
         parts = np.array_split(self.apart, PIECES)
         own = np.array([float(np.mean(p**2) / self.factor) for p in parts])
         pieces = np.sqrt(np.maximum(own - self.rounding, 0.0))
-        sigma = mean_in_time(pieces, 1e-3 * self.period / np.sqrt(self.apart.size))
+        sigma = mean(pieces, 1e-3 * self.period / np.sqrt(self.apart.size), 0.0)
         # Stamps that scatter by a fifth of the period and more are put in order, or held apart, by somebody.
         sorted_by = 0.15 * max(sigma.value / self.period - 0.2, 0.0) * sigma.value
         most, square = min(self.rounding, float(own.mean())), sigma.value**2
@@ -187,14 +195,21 @@ class Grid:
         return lost
 
     def missing(self) -> Measured:
-        """Return the part of the samples that is missing; losses of several at once count as one event."""
-        return self.share(self.dropped())
+        """Return the part of the samples that is missing, and may be in another recording.
+
+        Losses of several at once count as one event.
+        """
+        return share_in_time(*self._counted(self.dropped()))
 
     def share(self, lost: Array) -> Measured:
-        """Return the same of samples (n - 1,) that were lost."""
+        """Return the part that samples (n - 1,) which were lost are of all."""
+        hits, *counted = self._counted(lost)
+        return share_of(float(hits.sum()), *counted)
+
+    def _counted(self, lost: Array) -> tuple[Array, float, float]:
+        """Return samples lost (n - 1,), among how many, and how many of them come together."""
         total = float(lost.sum())
-        together = float((lost**2).sum()) / total if total else 1.0
-        return share_in_time(lost, self.t.size + total, together)
+        return lost, self.t.size + total, float((lost**2).sum()) / total if total else 1.0
 
 
 def _correlation(steps: Array, even: NDArray[np.bool_]) -> float:

@@ -225,7 +225,8 @@ def _rules_out(stream: Stream, other: Stream) -> bool:
     found = None if other.spectra is None else other.spectra.low_pass
     if found is None or stream.spectra is None or stream.silent:
         return True
-    return not may_be_behind(stream.spectra, found)
+    axes = [a for a in found.axes if a not in _filtered(stream)]
+    return not axes or not may_be_behind(stream.spectra, found, axes)
 
 
 def _filtered(stream: Stream) -> tuple[int, ...]:

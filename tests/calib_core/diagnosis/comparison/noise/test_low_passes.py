@@ -180,4 +180,4 @@ def test_noise_tells_whether_it_may_be_behind_a_low_pass(cutoff: float | None, m
     found, spectra = (still(c, seed).streams[0].spectra for c, seed in ((20.0, 1), (cutoff, 2)))
     assert found is not None and found.low_pass is not None and spectra is not None
     sure = replace(found.low_pass, cutoff=Measured(found.low_pass.cutoff.value, 1.0))
-    assert may_be_behind(spectra, sure) == may_be
+    assert may_be_behind(spectra, sure, sure.axes) == may_be
