@@ -48,7 +48,7 @@ from stillcal.calib_core.diagnosis.slow.turns.turn_errors import turn_errors
 from stillcal.calib_core.diagnosis.slow.turns.turn_residuals import turn_residuals
 from stillcal.calib_core.diagnosis.slow.turns.unsure_tilt import beyond, unsure_tilt
 from stillcal.calib_core.diagnosis.slow.wander import NO_DRIVER, sizes_along_gravity
-from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, agreed, direct_findings
+from stillcal.calib_core.diagnosis.stream import LEAST_SAMPLES, Stream, agreed, direct_findings, in_step
 from stillcal.calib_core.errors import NotSupported
 from stillcal.calib_core.maths.rms import rms
 from stillcal.calib_core.maths.sines import without_vibrations
@@ -234,7 +234,8 @@ def _with_slow(
     if not len(exam.bins):
         return exam
     search = partial(slow_statements, without=without, sought=sought)
-    every = by_sensor(exam.bins, exam.claims.gravity, covariates, exam.gyroscope)
+    rates = None if exam.gyroscope is None else in_step(exam.gyroscope, exam.streams)
+    every = by_sensor(exam.bins, exam.claims.gravity, covariates, rates)
     sensors = about_nonlinearity([r for r in every if r.sensor != "gyro" or not exam.zone_at_rest])
     stated = list(exam.statements)
     garbled_one = "" if exam.other_axes else exam.exchanged
@@ -267,13 +268,14 @@ def _with_motion(
     most = min(limits_of("gyro_saturation", direct), default=np.inf)
     rates = OffRates.of(known, exam.accelerometer, bare, gravity)
     unsteady = _unsteady(exam, exam.gyroscope)
-    turned = partial(_turned, repeats.without_held(exam.gyroscope), bare, gravity, most, unsteady=unsteady)
+    moved = [in_step(s, exam.streams) for s in (exam.accelerometer, exam.gyroscope)]
+    turned = partial(_turned, repeats.without_held(moved[1]), bare, gravity, most, unsteady=unsteady)
     turns = None
     if len(exam.bins):
         affine, turns = turned(rates)
     filters = FilterDelay.of({s.sensor: s.spectra for s in exam.streams if s.spectra and s.tells_filter})
     if exam.other_axes is None:
-        force, rate = _without_lines(exam.streams, exam.accelerometer, exam.gyroscope)
+        force, rate = _without_lines(exam.streams, *moved)
         motion = shown_in_motion(
             force, rate, affine, gravity, sound["time_offset"],
             spoiled=[*exam.spoiled, *exam.on_limits], filters=filters,

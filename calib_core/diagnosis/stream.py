@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.direct import dead_zone, halves, missing_codes
 from stillcal.calib_core.diagnosis.direct import repeated_values as repeats
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps, quantisation, steps
@@ -212,6 +213,21 @@ def _noise_of(still: Quiet, seen: Steps, sensor: str) -> tuple[Spectra | None, n
 def _floor(still: Quiet, seen: Steps) -> float:
     """Return the power that steps add to noise as fine as they are, unit^2/Hz."""
     return seen.largest**2 / (6.0 * still.rate)
+
+
+def in_step(samples: Samples, streams: Sequence[Stream]) -> Samples:
+    """Return a sensor's samples without the delay of axes that a low-pass filters where it leaves others.
+
+    Rates of which one comes late turn the device about other axes than it was turned.
+    """
+    spectra = next((s.spectra for s in streams if s.samples.sensor == samples.sensor), None)
+    found = None if spectra is None else spectra.low_pass
+    if found is None or found.on_all:
+        return samples
+    xyz = samples.xyz.copy()
+    for axis in found.axes:
+        xyz[:, axis] = np.interp(samples.t + found.late.value, samples.t, xyz[:, axis])
+    return replace(samples, xyz=frozen(xyz))
 
 
 def direct_findings(streams: Sequence[Stream], claims: Claims, sound: SoundPhones) -> list[Finding]:

@@ -41,12 +41,12 @@ class FilterDelay:
 
         spectra: of the sensors whose noise tells whether it is filtered. Where that of one does not, it may
         have the same low-pass as the other, as most chips have, or none. Of two alike, one may seem wider
-        than what is a finding, and the other not.
+        than what is a finding, and the other not. One of some axes alone delays these (`Stream.in_step`).
         """
         if all(one.low_pass is None for one in spectra.values()):
             return None
         every = {s: one.low_pass or one.wide for s, one in spectra.items()}
-        seen = {s: one for s, one in every.items() if one is not None}
+        seen = {s: one for s, one in every.items() if one is not None and one.on_all}
         late = {s: one.late.value for s, one in seen.items()}
         units = {s: _unit(one) for s, one in seen.items()}
         expected = late.get("gyro", 0.0) - late.get("accel", 0.0)

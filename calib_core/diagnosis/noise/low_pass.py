@@ -288,7 +288,9 @@ def _of_some_axes(
     by_chance = _by_chance(averages)
     if _apart(logs[band] - np.median(logs[band], axis=0)) < by_chance:
         return None
-    white = [a for a in range(len(AXES)) if logs[band, a].var() < by_chance]
+    # Parts come with a filter near half the rate on all axes.
+    below = band & (f < thresholds.BANDWIDTH_LIMIT * noise[0])
+    white = [a for a in range(len(AXES)) if logs[below, a].var() < by_chance]
     axes = [a for a in range(len(AXES)) if a not in white]
     found = None if not white or not axes else _low_pass(f, typical[:, axes], band, noise, averages)
     if found is None:

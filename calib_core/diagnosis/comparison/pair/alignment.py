@@ -93,7 +93,7 @@ def align(own: Readings, other: Readings, known: KnownBefore | None = None) -> A
     whole = Alignment(true, none, [], [], frozenset())
     if force is not None and rate is not None:
         delay = delay_between(force, rate, known.unsure)
-        found = found_delays(delay, force, rate, own.force)
+        found = found_delays(delay, force, rate, own.force, known.unsure)
         numbers = [of_delay(delay, own.force) for f in found if f.effect == DELAY]
         why = None if found else hidden_delay(delay_between(force, rate), known.unsure)
         key = (DELAY, "timing")

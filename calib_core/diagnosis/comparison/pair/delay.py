@@ -225,16 +225,20 @@ def hidden_delay(delay: Measured, unsure: float) -> str | None:
     )
 
 
-def found_delays(delay: Measured, force: Late, rate: Late, samples: Samples) -> list[Finding]:
+def found_delays(
+    delay: Measured, force: Late, rate: Late, samples: Samples, unsure: float = 0.0
+) -> list[Finding]:
     """Return a delay between the sensors that the other does not have. samples: whose span and rate it is.
 
-    Where the axes of a sensor have none in common, that is said.
+    Where the axes of a sensor have none in common, that is said, unless it may be the low-passes'. unsure: as
+    for `delay_between`.
     """
     clearer = max((force, rate), key=lambda one: abs(one.delay.value) / one.delay.error)
     where = Where(
         float(samples.t[0]), float(samples.t[-1]), (0.1, 0.5 / sample_period(samples.t)), "rate of turn"
     )
-    apart = [one.axes.finding(where) for one in (force, rate) if one.apart]
+    unlike = [one.axes for one in (force, rate) if one.apart and one.axes.longest > SURE * unsure]
+    apart = [axes.finding(where) for axes in unlike]
     if apart:
         return [f for f in apart if f is not None]
     nats = of_vector(np.array([delay.value]), np.array([[delay.error**2]]), SIZE)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, lfilter
@@ -13,7 +15,11 @@ from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.noise.low_pass import LowPass, Quiet, judged
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.given_simulation import judge_simulation
+from stillcal.replay.diagnosis.pair.paired import judge_paired
 from stillcal.replay.diagnosis.sample_changes import changes
+from stillcal.replay.formats.trace import Recording
+from tests.support.diagnosis.turned_pairs import turned
 
 RATE, SECONDS = 100.0, 200
 
@@ -89,3 +95,29 @@ def test_what_is_put_in_filters_those_axes_alone() -> None:
     assert np.array_equal(put_in.xyz[:, :2], two.xyz[:, :2])
     found = seen(put_in)
     assert found is not None and found.axes == (0, 1, 2)
+
+
+def test_a_low_pass_of_one_axis_is_told_beside_a_wide_one_of_all() -> None:
+    """Parts come with a filter near half the rate: the other axes then are not quite white."""
+    every = resting(3, [0, 1, 2], cutoff=42.0)
+    filtered = lfilter(*butter(1, 4.0, fs=RATE), every.xyz[:, 1] - every.xyz[:, 1].mean())
+    xyz = np.column_stack([every.xyz[:, 0], filtered, every.xyz[:, 2]])
+    found = seen(replace(every, xyz=frozen(xyz)))
+    assert found is not None and found.axes == (1,)
+    assert found.cutoff.value == pytest.approx(4.0, abs=3.0 * found.cutoff.error)
+
+
+def one_axis_filtered(recording: Recording, cutoff: float) -> Recording:
+    """Return a recording whose gyroscope's y passes a first-order low-pass. cutoff: part of the rate."""
+    assert recording.gyroscope is not None
+    xyz = recording.gyroscope.xyz.copy()
+    xyz[:, 1] = lfilter(*butter(1, 2.0 * cutoff), xyz[:, 1])
+    return replace(recording, gyroscope=replace(recording.gyroscope, xyz=frozen(xyz)))
+
+
+def test_what_a_low_pass_of_one_axis_delays_is_no_second_difference() -> None:
+    """40 ms on y alone were a delay without a name, or a scale of 2.7 %, x by y, in turns by hand."""
+    filtered = one_axis_filtered(turned(1), 0.16)
+    found = [judge_simulation(filtered, turned(2, motion=5)), judge_paired(filtered, turned(2))]
+    for told in found:
+        assert [(f["effect"], f["axes"]) for f in told.answer["findings"]] == [("bandwidth", ["y"])]
