@@ -275,11 +275,10 @@ def step_of_other(finding: Finding, other: Examination) -> Finding | None:
     own = finding.parameters["step"]
     axes, steps = [AXES.index(a) for a in finding.axes], streams[0].steps
     step, noise = (float(np.median(each[axes])) for each in (steps.step, steps.sd))
-    ratio = step / float(np.asarray(own.value))
+    whole = float(np.asarray(own.value))
+    ratio = step / whole
     if abs(ratio - 1.0) > ALIKE and not 0.0 < noise < step:
-        whole = float(np.asarray(own.value))
-        kept = any(keeps_to(streams[0].samples.xyz[:, a], whole) for a in range(len(AXES)))
-        return finding if kept else None
+        return finding if any(keeps_to(values, whole) for values in streams[0].samples.xyz.T) else None
     low, high = np.ravel(own.ci95) * ratio
     return replace(finding, parameters={"step": Parameter(step, [float(low), float(high)], own.unit)})
 

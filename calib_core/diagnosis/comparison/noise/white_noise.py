@@ -212,8 +212,8 @@ def _low_passes(streams: Sequence[Stream]) -> list[Quantity | None]:
     out: list[Quantity | None] = []
     for own, other, *pair in zip(both, reversed(both), streams, reversed(streams), strict=True):
         elsewhere = other is not None and not other.none
-        none = elsewhere and _within(pair[0], other) and _rules_out(*pair)
-        out.append(own if own is not None and (not own.none or none) else None)
+        surely_none = elsewhere and _within(pair[0], other) and _rules_out(*pair)
+        out.append(own if own is not None and (not own.none or surely_none) else None)
     return out
 
 
