@@ -54,7 +54,7 @@ def withheld(source: Source, others: list[Source]) -> Withheld | None:
 
 
 def shared_curve(bins: Bins) -> tuple[Array, float]:
-    """Return the curve (n,) that the channels share most of, and its part of their variance.
+    """Return the curve (n,) that the channels share most of, and its part of their variance, 0 of none.
 
     Channels are the rate, and the specific force about its rest's mean, in units of their white noise.
     """
@@ -67,7 +67,8 @@ def shared_curve(bins: Bins) -> tuple[Array, float]:
         channels.append((bins.rate - bins.rate.mean(axis=0)) / np.sqrt(bins.rate_variance))
     stacked = np.concatenate(channels, axis=1)
     u, s, _ = np.linalg.svd(stacked - stacked.mean(axis=0), full_matrices=False)
-    return np.asarray(u[:, 0] * s[0]), float(s[0] ** 2 / (s**2).sum())
+    whole = float((s**2).sum())
+    return np.asarray(u[:, 0] * s[0]), float(s[0] ** 2) / whole if whole else 0.0
 
 
 def correlation(a: Array, b: Array) -> float:

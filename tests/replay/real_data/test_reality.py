@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,14 @@ def test_the_shared_curve_is_the_one_that_moves_the_channels() -> None:
 def test_white_channels_share_no_curve() -> None:
     _, share = shared_curve(bins(np.zeros(60)))
     assert share < 0.35  # a sixth, and what the largest of six eigenvalues exceeds it by with 60 bins
+
+
+def test_channels_that_do_not_move_share_no_curve() -> None:
+    """Coarse values may be one and the same in a whole rest."""
+    still = bins(np.zeros(20))
+    same = replace(still, force=np.full((20, 3), 5.0), rate=np.zeros((20, 3)))
+    curve, share = shared_curve(same)
+    assert share == 0.0 and not curve.any()
 
 
 def test_members_of_a_set_count_as_named() -> None:
