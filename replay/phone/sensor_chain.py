@@ -46,6 +46,11 @@ class LowPass:
         b, a = (float(np.arange(c.size) @ c / c.sum()) for c in (self._b, self._a))
         return (b - a) / self._rate_hz
 
+    def gain(self, frequency_hz: float) -> float:
+        """Return what it leaves of the amplitude of a sine, below half the rate."""
+        back = np.exp(-2j * math.pi * frequency_hz / self._rate_hz) ** np.arange(self._b.size)
+        return float(abs(self._b @ back) / abs(self._a @ back))
+
     def __call__(self, values: Array) -> Array:
         """Filter the next (n, 3) values."""
         state = np.outer(self._settled, values[0]) if self._state is None else self._state

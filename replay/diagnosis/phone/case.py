@@ -32,6 +32,7 @@ from stillcal.replay.diagnosis.phone.twin import (
 )
 from stillcal.replay.formats.trace import Recording
 from stillcal.replay.phone.effects.base import Effect
+from stillcal.replay.phone.effects.on_input import VibrationTone
 from stillcal.replay.phone.effects.on_settings import GyroSaturation
 from stillcal.replay.phone.phone import Phone
 from stillcal.replay.phone.sensor_chain import LowPass
@@ -39,6 +40,9 @@ from stillcal.replay.phone.settings import SensorSettings
 
 SEED = 2
 """Of what is simulated."""
+
+LEAST_GAIN = 0.03
+"""Of a low-pass, to undo it for a vibration: near half the rate a digital one leaves nothing."""
 
 ROUNDS = 3
 """Times that the gyroscope's scale is fitted about the effects of the rate, which go with the true one."""
@@ -70,11 +74,10 @@ class Case:
         """Return the phone that the recording shows, with the effects found. Needs static bins."""
         known = (self.recording, self.bins, self.effects, self.affine)
         made = phone_of(*known, conditions=self.conditions, gravity=self.gravity)
-        return msgspec.structs.replace(
-            made,
-            accel=self._as_sampled(made.accel, "accel"),
-            gyro=made.gyro and self._as_sampled(made.gyro, "gyro"),
-        )
+        accel = self._as_sampled(made.accel, "accel")
+        gyro = made.gyro and self._as_sampled(made.gyro, "gyro")
+        effects = tuple(_as_felt(effect, accel, gyro) for effect in made.effects)
+        return msgspec.structs.replace(made, accel=accel, gyro=gyro, effects=effects)
 
     def _as_sampled(self, settings: SensorSettings, sensor: str) -> SensorSettings:
         """Return the settings of a sensor with the low-pass and the held samples that it shows."""
@@ -117,6 +120,18 @@ class Case:
         return [
             m.finding.effect for m in self.mapped if m.effect is None and m.finding.effect not in OF_DENSITY
         ]
+
+
+def _as_felt(effect: Effect, accel: SensorSettings, gyro: SensorSettings | None) -> Effect:
+    """Return an effect; a vibration as the sensor feels it: what it reads, before its scale and low-pass."""
+    settings = accel if effect.concerns(Sensor.ACCELEROMETER) else gyro
+    if not isinstance(effect, VibrationTone) or settings is None:
+        return effect
+    felt = np.linalg.solve(np.asarray(settings.scale), np.asarray(effect.amplitude))
+    if settings.cutoff_hz is not None and effect.frequency < settings.rate_hz / 2.0:
+        felt /= max(LowPass(settings.cutoff_hz, settings.rate_hz).gain(effect.frequency), LEAST_GAIN)
+    x, y, z = felt.tolist()
+    return msgspec.structs.replace(effect, amplitude=(x, y, z))
 
 
 def _fresh(recording: Recording) -> Recording:

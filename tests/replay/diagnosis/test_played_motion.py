@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, lfilter
 
 from stillcal.calib_core.arrays import Array, frozen
 from stillcal.calib_core.diagnosis.clear_bins import still_bins
@@ -13,6 +14,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import stamps_as_compared
 from stillcal.calib_core.diagnosis.diagnose import examine
 from stillcal.calib_core.gravity import STANDARD
 from stillcal.calib_core.streams.samples import Samples, Sensor
+from stillcal.replay.diagnosis.built_in import judge_built_in
 from stillcal.replay.diagnosis.phone.phone_file import phone_of
 from stillcal.replay.diagnosis.phone.resimulate import Motion, moment_of, motion_of, resimulate
 from stillcal.replay.diagnosis.phone.twin import conditions_of, fit_affine
@@ -166,3 +168,25 @@ def test_what_was_no_rest_in_the_recording_is_none_where_it_is_played() -> None:
     doubled, alone = (examine(played, None, sought=(), within=one) for one in (every, rests))
     assert [s.finding.effect for s in doubled.statements] == ["unknown"]
     assert not alone.statements
+
+
+def test_a_vibration_beyond_a_low_pass_is_played_as_it_was_read() -> None:
+    """A phone feels it before its scale and its filter, which leaves a tenth of 22 Hz."""
+    t = np.arange(0.0, 400.0, 0.02)
+    angle = np.interp(t, [80.0, 82.0, 160.0, 162.0, 240.0, 242.0, 320.0, 322.0], [0, 1, 1, 2, 2, 3, 3, 4])
+    force = STANDARD * np.stack([np.sin(angle), np.sin(2.0 * angle) / 2.0, np.cos(angle)], axis=1)
+    force *= STANDARD / np.linalg.norm(force, axis=1)[:, None]
+    noise = lfilter(*butter(2, 0.64), np.random.default_rng(0).normal(0.0, 0.02, force.shape), axis=0)
+    read = force + noise + np.outer(np.sin(2.0 * np.pi * 22.0 * t), [0.02, 0.012, 0.0])
+    recording = Recording(Samples(Sensor.ACCELEROMETER, frozen(t), frozen(read)), None, [], Claims(), [])
+    judged = judge_built_in(recording)
+    assert judged.corrected is not None and judged.case is not None
+    assert judged.case.cutoffs["accel"] == pytest.approx(16.0, rel=0.1)
+    amplitudes = [f["parameters"]["amplitude"] for f in judged.answer["findings"]]
+    assert [a["value"] for a in amplitudes] == [pytest.approx([0.02, 0.012, 0.0], abs=0.001)]
+    played = judged.corrected.accelerometer
+    rest = (played.t > 10.0) & (played.t < 70.0)
+    turned = np.exp(-2j * np.pi * 22.0 * played.t[rest]) * np.hanning(rest.sum())
+    found = 4.0 * np.abs(turned @ (played.xyz[rest] - played.xyz[rest].mean(axis=0))) / rest.sum()
+    assert found == pytest.approx([0.02, 0.012, 0.0], abs=0.002)
+    assert judged.answer["fit"]["still_different"] == []
