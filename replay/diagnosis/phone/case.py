@@ -41,8 +41,8 @@ from stillcal.replay.phone.settings import SensorSettings
 SEED = 2
 """Of what is simulated."""
 
-LEAST_GAIN = 0.03
-"""Of a low-pass, to undo it for a vibration: near half the rate a digital one leaves nothing."""
+LEAST_GAIN = 1e-3
+"""Of a low-pass, to undo it for a vibration: at half the rate a digital one leaves nothing."""
 
 ROUNDS = 3
 """Times that the gyroscope's scale is fitted about the effects of the rate, which go with the true one."""
