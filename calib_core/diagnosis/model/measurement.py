@@ -119,7 +119,10 @@ def share_of(hits: float, trials: float, alike: float = 1.0) -> Measured:
 def share_in_time(hits: Array, trials: float, alike: float = 1.0) -> Measured:
     """Return `share_of` hits (n,) in the order of time, which may come and go as in `mean_in_time`."""
     share = share_of(float(hits.sum()), trials, alike)
-    pieces = np.array([float(p.sum()) for p in np.array_split(hits, IN_TIME)]) * IN_TIME / max(trials, 1.0)
+    if not hits.size:
+        return share
+    of_each = hits.size / max(trials, 1.0)
+    pieces = np.array([of_each * float(p.mean()) for p in np.array_split(hits, min(IN_TIME, hits.size))])
     return Measured(share.value, max(share.error, mean_in_time(pieces).error))
 
 

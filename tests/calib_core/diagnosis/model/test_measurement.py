@@ -145,6 +145,10 @@ def test_hits_that_come_and_go_leave_a_share_less_sure() -> None:
     whole = share_of(float(steady.sum()), float(steady.size))
     assert share_in_time(steady, float(steady.size)).value == whole.value
     assert share_in_time(steady, float(steady.size)).error == pytest.approx(whole.error, rel=0.3)
+    # Pieces of one block and of two scatter no more than those of one size.
+    blocks = steady[:6_000].reshape(60, 100).sum(axis=1)
+    of_blocks = share_of(float(blocks.sum()), 6_000.0)
+    assert share_in_time(blocks, 6_000.0).error == pytest.approx(of_blocks.error, rel=0.4)
     gone = steady * (np.arange(steady.size) < 8_000)
     once = share_of(float(gone.sum()), float(gone.size))
     assert share_in_time(gone, float(gone.size)).value == once.value
