@@ -188,6 +188,10 @@ def _finding(
         "evidence": {"log_bayes_factor": one.log_bayes_factor},
     }
     out |= _of_both(one.difference) if one.difference is not None else _of_one(one, names)
+    if one.of_either:
+        out |= {"of_either": True}
+        if one.difference is None or not one.difference.simulated.sigma.any():  # neither can show it
+            out["simulated"] = {}
     if one.effect == UNEQUAL and one.difference is not None:
         out |= _with_imbalance(out, one.difference, one.axes[0])
     if one.effect.endswith("_temperature") and mean_temperature is not None:
@@ -253,8 +257,6 @@ def _of_one(one: Discrepancy, names: tuple[str, str]) -> dict[str, Any]:
     if one.recorded is None:
         return {"simulated": values, "difference": {k: _negated(v) for k, v in _zeroed(values).items()}}
     out = {"parameters": values, "difference": _zeroed(values)}
-    if one.of_either:
-        return out | {"of_either": True}
     out["simulated"] = {k: _nothing_of(v) for k, v in _zeroed(values).items()}
     if one.effect == "noise_level" and names[1] == BUILT_IN:
         out["simulated"] = {"ratio": {"value": 1.0, "ci95": [1.0, 1.0], "unit": "1"}}

@@ -135,7 +135,7 @@ def _judged(pair: _Pair, show_stage: ShowStage) -> Judged:
     apart, charging = less(own, true), charging_events(recording)
     bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=known.rounding)
     exam = examined_in_pair(recorded, bins, sensors, motion.found, lambda done: show_stage(READINGS, done))
-    slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, simulated, pair.names)
+    slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, pair.exams, pair.names)
     slow = with_owner_of_unknown(slow, exam, recorded, simulated)
     before = slow.and_of(pair.values)
     after, left_out = None, list[str]()

@@ -53,7 +53,10 @@ def judged(real: Recording, sim: Recording, effect: Effect, grids: Sequence[Grid
     exam = replace(examined(real, sought=()), bins=bins, sensors=sensors, turns=None, statements=stated)
     alike = Alignment(true, true, [], [], frozenset())
     found = with_own_of_simulation(
-        compare_in_pair(exam, alike), exam, examined(sim, sought=()), ("real", "sim")
+        compare_in_pair(exam, alike),
+        exam,
+        (examined(real, sought=()), examined(sim, sought=())),
+        ("real", "sim"),
     )
     return sorted(found.discrepancies, key=lambda d: d.where.t_start)
 

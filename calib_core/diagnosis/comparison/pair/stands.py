@@ -1,8 +1,9 @@
 """How a simulation of the same motion stands to the recording: what it has by itself of what they differ by.
 
 The difference of the readings says by how much the two differ, and not which of them has the effect. The
-simulation's own rests and turns say what it has; the recording has that and the difference. Something
-without a name is the one's whose own rests hold its course, else it may be of either.
+simulation's own rests and turns say what it has; the recording has that and the difference. Where those do
+not show it, the recording's own are asked as well: what neither shows may be of either. Something without a
+name is the one's whose own rests hold its course, else it may be of either.
 """
 
 from __future__ import annotations
@@ -40,27 +41,28 @@ PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def with_own_of_simulation(
-    found: Comparison, exam: Examination, simulated: Examination, names: tuple[str, str]
+    found: Comparison, exam: Examination, alone: tuple[Examination, Examination], names: tuple[str, str]
 ) -> Comparison:
     """Return a comparison that says of each difference what the simulation has of it by itself.
 
-    Of bias and scale it also says which agree, and which are undecided. exam: of the pair; simulated: the
-    simulation by itself, not searched; names: of both. Where it does not show the effect beyond chance, or
-    cannot, it lacks what it differs by, as before.
+    Of bias and scale it also says which agree, and which are undecided. exam: of the pair; alone: of the
+    recording and of the simulation by themselves, not searched; names: of both.
     """
+    recorded, simulated = alone
     wanted = [*wanted_of(exam), *_at_moments(exam), *_of_turns(found)]
     no_thermometer = simulated.bins.temperature is None and exam.bins.temperature is not None
     simulated = warmed(simulated, exam.bins) if no_thermometer and len(simulated.bins) else simulated
     differences = [d.difference for d in found.discrepancies if d.difference is not None]
     later = {d.recorded.sensor for d in differences if d.recorded.reference.get(SETTLED)}
     wanted = [settled(w) if w.hypothesis.effect.sensor in later else w for w in wanted]
-    own = every_linear_quantity(simulated, wanted, _references(differences))
-    own += delay_quantity(simulated).values()
+    at = _references(differences)
+    sides = (simulated, recorded)
+    own, others = ([*every_linear_quantity(e, wanted, at), *delay_quantity(e).values()] for e in sides)
     turned = any(d.effect == "accel_scale" for d in found.discrepancies)
     unsure = [undecided(d, names) for d in found.compared if not d.agrees and not differs(d)]
     return replace(
         found,
-        discrepancies=[_standing(d, own, turned=turned) for d in found.discrepancies],
+        discrepancies=[_standing(d, own, others, turned=turned) for d in found.discrepancies],
         agreed=[*found.agreed, *_agreed(found, own)],
         undecided=[*found.undecided, *unsure],
     )
@@ -227,17 +229,22 @@ def _own_of(apart: Difference, own: Sequence[Quantity]) -> Quantity | None:
     )
 
 
-def _standing(one: Discrepancy, own: Sequence[Quantity], *, turned: bool) -> Discrepancy:
+def _standing(
+    one: Discrepancy, own: Sequence[Quantity], others: Sequence[Quantity], *, turned: bool
+) -> Discrepancy:
     """Return a difference beside what the simulation itself has, if it has anything.
 
-    turned: whether the simulation's accelerometer has axes of its own, by which its gyroscope is measured.
+    own, others: what the simulation's and the recording's own rests and turns show. turned: whether the
+    simulation's accelerometer has axes of its own, by which its gyroscope is measured.
     """
     apart = one.difference
     if apart is None:
         return one
     had = _own_of(apart, own)
     if had is None or not had.shows():
-        return one
+        # Every sensor has a bias and a scale: a difference of those is of both, whoever is asked.
+        constant = one.effect in (f"{one.sensor}_bias", f"{one.sensor}_scale")
+        return one if constant else _of_whom(one, _own_of(apart, others), had)
     value = had.value
     both = _scaled(value, apart.value) if one.effect.endswith("_scale") else value + apart.value
     more = replace(had, value=both, covariance=had.covariance + apart.covariance)
@@ -247,6 +254,32 @@ def _standing(one: Discrepancy, own: Sequence[Quantity], *, turned: bool) -> Dis
         return _of_simulation(one)
     whole = replace(apart, recorded=more, simulated=had, value=both - value)
     return replace(one, relation=whole.relation(), difference=whole)
+
+
+def _of_whom(one: Discrepancy, recorded: Quantity | None, simulated: Quantity | None) -> Discrepancy:
+    """Return a difference of which the simulation shows nothing as the recording's, its own, or of either.
+
+    recorded, simulated: what each shows by itself, None where it cannot show such an effect. The simulation's
+    part is nothing, as far as they show.
+    """
+    apart = one.difference
+    assert apart is not None, "it stands beside what each has"
+    nats = np.array([_nats_of_having(recorded, apart.value), _nats_of_having(simulated, -apart.value)])
+    of_recording, of_simulation = shares_alone(nats)
+    if of_simulation >= CERTAIN:
+        return _of_simulation(one)
+    shown = simulated or recorded
+    none = apart.simulated if shown is None else replace(apart.simulated, covariance=shown.covariance)
+    return replace(one, difference=replace(apart, simulated=none), of_either=of_recording < CERTAIN)
+
+
+def _nats_of_having(own: Quantity | None, size: Array) -> float:
+    """Return how much what one recording shows by itself speaks for a size (k,) against nothing, nats."""
+    if own is None:
+        return 0.0
+    precision = np.linalg.inv(own.covariance + np.diag(own.tolerance**2))
+    left = own.value - size
+    return float(0.5 * (own.value @ precision @ own.value - left @ precision @ left))
 
 
 def _identity(one: Quantity) -> tuple[str, str, float | None]:
