@@ -339,6 +339,22 @@ def quantities_of(one: Finding, other: Finding) -> tuple[Quantity, Quantity] | N
     return _quantity(one, names[0], positive), _quantity(other, names[1], positive)
 
 
+def of_any_direction(line: Quantity) -> Quantity:
+    """Return a line of which only the size of its amplitude (3,) is known, and not its direction.
+
+    What shakes a device from where it lies shakes other axes of it in another attitude. The covariance grows
+    by the quantity's own size, but not along the amplitude: the variance of its length stays.
+    """
+    starts = np.cumsum([0, *(part.count for part in line.parts)])
+    rows = next(slice(a, a + 3) for a, p in zip(starts, line.parts, strict=False) if p.name == "amplitude")
+    size, amplitude = line.size[rows], line.value[rows]
+    along = size * (np.exp(2.0 * amplitude) if line.logarithmic else amplitude)
+    along = along / np.linalg.norm(along)
+    covariance = line.covariance.copy()
+    covariance[rows, rows] += np.outer(size, size) * (np.eye(3) - np.outer(along, along))
+    return replace(line, covariance=covariance)
+
+
 def _with_interval(finding: Finding) -> list[str]:
     return [n for n, p in finding.parameters.items() if _interval(p) is not None]
 

@@ -17,6 +17,7 @@ from stillcal.calib_core.diagnosis.comparison.direct import (
     MEASURED_ELSEWHERE,
     band_of_other,
     direct_statements,
+    of_any_direction,
     partner,
     quantities_of,
     step_of_other,
@@ -39,6 +40,8 @@ from stillcal.calib_core.diagnosis.comparison.stated import Sole
 from stillcal.calib_core.diagnosis.comparison.without_name import by_its_driver, is_course, may_be_had
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.model.records import Finding
+from stillcal.calib_core.diagnosis.model.residuals import attitudes
+from stillcal.calib_core.diagnosis.noise.lines.line import is_line
 
 Reasons = Mapping[Key, str | None]
 """Why an effect was not looked for; None where it was."""
@@ -57,6 +60,7 @@ def differences_of_samples(
     """
     sides = with_lines_heard((direct_statements(exams[0]), direct_statements(exams[1])), exams)
     lines = (LinesOf(exams[0]), LinesOf(exams[1]))
+    turned = any(map(_turned, exams))
     both: list[Difference] = []
     sole: list[Sole] = []
     unseen: list[NotCompared] = []
@@ -80,12 +84,12 @@ def differences_of_samples(
                 if of_recording and why is not None:
                     unseen.append(NotCompared(finding.effect, finding.sensor, f"both: {why}"))
                 elif of_recording or stated is None:
-                    both += _paired(*((finding, pair) if of_recording else (pair, finding)))
+                    both += _paired(*((finding, pair) if of_recording else (pair, finding)), turned)
                 continue
             measured = step_of_other(finding, exams[other]) or band_of_other(finding, exams[other])
             measured = measured or _same_rate(finding, exams[1 - other], exams[other])
             if measured is not None:
-                both += _paired(*((finding, measured) if of_recording else (measured, finding)))
+                both += _paired(*((finding, measured) if of_recording else (measured, finding)), turned)
                 continue
             unlooked = reasons[other].get((finding.effect, finding.sensor))
             # Its rests tell all their vibrations, also those of what it lay on.
@@ -139,11 +143,23 @@ def _too_small(finding: Finding, own: Examination, other: Examination) -> str | 
     return None if shows_as_large(other, stated) else not_as_large(where)
 
 
-def _paired(one: Finding, other: Finding) -> list[Difference]:
+def _turned(exam: Examination) -> bool:
+    """Whether a device lay in more than one attitude."""
+    force = exam.bins.force
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    return bool(np.unique(attitudes(up)).size > 1)
+
+
+def _paired(one: Finding, other: Finding, turned: bool) -> list[Difference]:
+    """Return the difference of what both have. turned: whether a device lay in more than one attitude."""
     if one.effect != other.effect:  # a vibration whose name one of the two does not show
         one, other = (replace(f, effect="vibration_tone") for f in (one, other))
     pair = quantities_of(one, other)
-    return [] if pair is None else [subtract(*pair)]
+    if pair is None:
+        return []
+    if turned and is_line(one):
+        pair = of_any_direction(pair[0]), of_any_direction(pair[1])
+    return [subtract(*pair)]
 
 
 def in_neither(

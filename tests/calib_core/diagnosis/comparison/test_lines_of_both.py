@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
@@ -99,6 +100,25 @@ def test_a_line_that_is_absent_is_told_where_it_would_show_alone() -> None:
     assert differing(found) == []
     untold = [m.reason for m in found.not_compared if (m.effect, m.sensor) == ("vibration_tone", "accel")]
     assert untold == ["real.csv: its rests would not show one of this size"]
+
+
+def lying(seed: int, ups: Sequence[Array], shaken: float) -> Samples:
+    """Return rests of 200 s in some attitudes on what shakes upright by `shaken` m/s^2 at 11 Hz."""
+    t = np.arange(0.0, 200.0 * len(ups), 0.02)
+    up = np.repeat(ups, t.size // len(ups), axis=0)
+    force = up * (9.81 + shaken * np.sin(2.0 * np.pi * 11.0 * t + seed))[:, None]
+    force += np.random.default_rng(seed).normal(0.0, 0.02, force.shape)
+    return Samples(Sensor.ACCELEROMETER, frozen(t), frozen(force))
+
+
+@pytest.mark.parametrize("times", [1.0, 2.0])
+def test_what_a_device_lies_on_shakes_other_axes_in_other_attitudes(times: float) -> None:
+    """By its axes the same vibration was another one; its size is what two recordings can be asked for."""
+    x, y, z = np.eye(3)
+    found = compared(lying(1, [z, z, x], 0.03), lying(2, [y, z, y], 0.03 * times))
+    said = [(d.effect, d.relation) for d in found.discrepancies if "vibration" in d.effect]
+    assert said == ([] if times == 1.0 else [("vibration_tone", "too_large")])
+    assert [d.effect for d in found.discrepancies if d.effect == "unknown"] == []
 
 
 def test_a_line_and_its_alias_may_be_one() -> None:
