@@ -161,9 +161,9 @@ class LinesOf:
             absent = [f for f in lines if not (partner(f, own, others) or self.unstated(f, own, others))]
             calm = self._streams[sensor].calm
             shown = would_show(calm, sensor, absent, self._of(sensor))
-            short = AtRest.of(calm, sensor).short if any(shown) else None
+            rests = AtRest.of(calm, sensor).brief if any(shown) else None
             self._hidden[sensor] = [
-                f for f, seen in zip(absent, shown, strict=True) if not seen or may_have(short, f)
+                f for f, seen in zip(absent, shown, strict=True) if not seen or may_have(rests, f)
             ]
         return not_as_large("rests") if any(finding is f for f in self._hidden[sensor]) else None
 

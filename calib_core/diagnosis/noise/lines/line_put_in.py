@@ -84,7 +84,7 @@ def may_have(seen: Stretches | None, line: Finding) -> bool:
     """Whether rests have so much power at a line's frequency that it may be there, unseen.
 
     Real lines wander and come and go otherwise than those that are put in. Of one that wanders far no single
-    frequency has much. seen: the short stretches of one sensor's rests, None for too few.
+    frequency has much. seen: the short or brief stretches of one sensor's rests, None for too few.
     """
     if seen is None or line.where.driver == WANDERS:
         return False

@@ -84,7 +84,7 @@ LEAST_HALF, QUIET = 3.3, 2.83
 
 @dataclass(frozen=True, eq=False)
 class AtRest:
-    """A sensor's rests. short: their stretches of `SHORT`, None for too few."""
+    """A sensor's rests. short: their stretches of `SHORT`, None for too few; so are the others here."""
 
     sensor: str
     places: Places | None
@@ -97,10 +97,16 @@ class AtRest:
         return cls(sensor, places, stretches(places, sensor, SHORT))
 
     @cached_property
+    def brief(self) -> Stretches | None:
+        """Their short stretches, or those of `BRIEF` where none are as long."""
+        return self.short or stretches(self.places, self.sensor, BRIEF)
+
+    @cached_property
     def coherent(self) -> CoherentSpectrum | None:
-        """Their spectrum as one series, of brief stretches where none are short; None for too few."""
-        seen = self.short or stretches(self.places, self.sensor, BRIEF)
-        return None if self.places is None or seen is None else CoherentSpectrum.of(self.places, seen)
+        """Their spectrum as one series; None for too few brief stretches."""
+        if self.places is None or self.brief is None:
+            return None
+        return CoherentSpectrum.of(self.places, self.brief)
 
     def is_passing(self, line: Finding) -> bool:
         """Whether a line is of what the device lay on for a while, of many rests.
