@@ -34,9 +34,10 @@ def nearby(grid: Grid) -> list[Grid]:
 
 
 def time_constants(moments: Moments) -> list[Grid]:
-    """Return the time constants up to half the recording."""
+    """Return the time constants up to half the recording: of one that lasts days, also hours, as of a box."""
     start, end = moments.history.span
-    return [{"tau_s": tau} for tau in TAUS if tau <= (end - start) / 2.0]
+    longer = TAUS[-1] * 2.0 ** np.arange(1, np.log2(max((end - start) / TAUS[-1], 1.0)))
+    return [{"tau_s": float(tau)} for tau in (*TAUS, *longer) if tau <= (end - start) / 2.0]
 
 
 def relaxation(moments: Moments, tau: float) -> Array:

@@ -26,6 +26,10 @@ from stillcal.calib_core.diagnosis.model.records import Parameter
 
 GRID_PARAMETERS = ("tau_s", "period_s")
 
+COARSE, POINTS = 2.0, 17
+"""Nats that the neighbours of the likeliest point lie below it where a grid is too coarse, by two standard
+errors a step; and the points between these neighbours that are tried then."""
+
 UNLIKELY = 7.0
 """nats below the likeliest point from which another weighs less than a thousandth, and is left out."""
 
@@ -94,7 +98,7 @@ def _candidates(
     The shares of a latent heat's sources are of the coarse grid alone, and hardly told: with those of the
     likeliest point only, its intervals were too narrow. Of each choice the likeliest point counts.
     """
-    made, known = residuals.finer(hypothesis), {_choice(hypothesis)}
+    made, known = finest(residuals, hypothesis, others), {_choice(hypothesis)}
     if made == [hypothesis] or not _choice(hypothesis):
         return made
     coarse = residuals.hypotheses(hypothesis.effect)
@@ -104,6 +108,27 @@ def _candidates(
         if heights[i] > heights.max() - UNLIKELY and _choice(coarse[i]) not in known:
             known.add(_choice(coarse[i]))
             made = [*made, *residuals.finer(coarse[i])]
+    return made
+
+
+def finest(
+    residuals: SensorResiduals, hypothesis: Hypothesis, others: Sequence[Hypothesis]
+) -> list[Hypothesis]:
+    """Return the fine grid about a hypothesis, as fine as the recording tells a time constant or a period.
+
+    Half a step beside the true one, what a large effect leaves is as large as a small effect.
+    """
+    made = residuals.finer(hypothesis)
+    name = next((n for n in GRID_PARAMETERS if n in hypothesis.grid), None)
+    while name is not None and len(made) > 2:
+        reduced = reduce_residuals(residuals, made, others)
+        heights = np.array([highest(reduced, i) for i in range(len(made))])
+        best = int(np.argmax(heights))
+        if not 0 < best < len(made) - 1 or heights[best] - max(heights[[best - 1, best + 1]]) < COARSE:
+            break
+        low, high = (made[i].grid[name] for i in (best - 1, best + 1))
+        grids = [made[best].grid | {name: float(v)} for v in np.geomspace(low, high, POINTS)]
+        made = [residuals.measured(hypothesis.effect, g, hypothesis.multiplicity) for g in grids]
     return made
 
 

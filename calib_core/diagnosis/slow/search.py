@@ -32,6 +32,7 @@ from stillcal.calib_core.diagnosis.inference.score import degrees, score, visibl
 from stillcal.calib_core.diagnosis.model import settings as thresholds
 from stillcal.calib_core.diagnosis.model.effect import Effect
 from stillcal.calib_core.diagnosis.model.hypothesis import Hypothesis, SensorResiduals, difference
+from stillcal.calib_core.diagnosis.slow.estimate import finest
 from stillcal.calib_core.diagnosis.slow.screen import screened
 
 COLUMNS = 128
@@ -444,7 +445,7 @@ def refined(residuals: SensorResiduals, step: Step, before: Sequence[Hypothesis]
     """Move the winner to the best point of its effect's fine grid."""
     winner = step.winner.hypothesis
     companions = tuple(residuals.companions(winner.effect))
-    candidates = residuals.finer(winner)
+    candidates = finest(residuals, winner, before)
     if candidates == [winner]:
         return replace(step, neighbours=companions)
     reduced = reduce_residuals(residuals, candidates, before)
