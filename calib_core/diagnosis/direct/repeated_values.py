@@ -64,6 +64,9 @@ MANY = 0.05
 USUAL = 0.9
 """Quantile of the runs of samples held that is the longest usual one."""
 
+OFTEN, CAUGHT_UP = 10, 2.0
+"""Rows that repeat after which what moved meanwhile must show, and times the next change by which it does."""
+
 NEAR = 2.5
 """Steps of an axis up to which a value is near another: one or two of them."""
 
@@ -87,15 +90,21 @@ def held_rows(samples: Samples) -> NDArray[np.bool_]:
     """Return which rows repeat the one before though the values go on from there.
 
     They do where the next other value is more than two steps away; what coarse steps repeat is not held.
+    After many rows it must also be farther away than the value after it: a sensor without noise reads the same
+    at rest, and then moves off.
     """
     again = repeating(samples.xyz)
     if not again.any():
         return again
-    other = np.append(np.flatnonzero(~again), len(samples) - 1)
-    after = other[np.searchsorted(other[:-1], np.arange(len(samples)), side="right")]
-    step = np.array([least_change(axis) for axis in samples.xyz.T])
-    goes_on = np.abs(samples.xyz[after] - samples.xyz) > NEAR * step
-    return np.asarray(again & goes_on.any(axis=1))
+    xyz, rows = samples.xyz, np.arange(len(samples))
+    fresh = np.append(np.flatnonzero(~again), len(samples) - 1)
+    run = np.searchsorted(fresh[:-1], rows, side="right")
+    after, then = fresh[run], fresh[np.minimum(run + 1, fresh.size - 1)]
+    step = np.array([least_change(axis) for axis in xyz.T])
+    goes_on = (np.abs(xyz[after] - xyz) > NEAR * step).any(axis=1)
+    away, next_away = (np.linalg.norm(to - xyz[after], axis=1) for to in (xyz, xyz[then]))
+    long = after - fresh[run - 1] > OFTEN
+    return np.asarray(again & goes_on & ~(long & (away < CAUGHT_UP * next_away)))
 
 
 def without_held(samples: Samples) -> Samples:

@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stillcal.calib_core.arrays import frozen
 from stillcal.calib_core.diagnosis.diagnose import examine
-from stillcal.calib_core.diagnosis.direct.repeated_values import TWICE, Repeats, doubled, held, without_held
+from stillcal.calib_core.diagnosis.direct.repeated_values import (
+    TWICE,
+    Repeats,
+    doubled,
+    held,
+    held_rows,
+    without_held,
+)
 from stillcal.calib_core.diagnosis.direct.stuck import dead, stuck
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -137,6 +146,18 @@ def test_samples_are_held_where_values_go_on_from_there(step: float, left_out: b
     rate = step * np.rint(rate / step)
     kept = without_held(Samples.checked(Sensor.GYROSCOPE, t, rate))
     assert len(kept) == t.size - 35 * left_out
+
+
+def test_what_a_sensor_without_noise_reads_at_rest_is_not_held() -> None:
+    """All rests of an ideal simulation were left out of a pair, and in what was left the noise had steps."""
+    t = np.arange(0.0, 60.0, 0.01)
+    turning = np.clip(t % 6.0 - 5.0, 0.0, 1.0) + np.floor(t / 6.0)
+    still = Samples(Sensor.GYROSCOPE, frozen(t), frozen(np.outer(turning, [0.3, -0.2, 0.1])))
+    assert not held_rows(still).any()
+    rows = np.arange(t.size)
+    stuck = (rows >= 540) & (rows < 560)  # in a turn, which shows it when it goes on
+    xyz = still.xyz[np.where(stuck, 539, rows)]
+    np.testing.assert_array_equal(held_rows(replace(still, xyz=frozen(xyz))), stuck)
 
 
 @pytest.mark.parametrize("seed", range(3))
