@@ -90,8 +90,8 @@ def held_rows(samples: Samples) -> NDArray[np.bool_]:
     """Return which rows repeat the one before though the values go on from there.
 
     They do where the next other value is more than two steps away; what coarse steps repeat is not held.
-    After many rows it must also be farther away than the value after it: a sensor without noise reads the same
-    at rest, and then moves off.
+    After many rows it must also be farther away than the value after it: a sensor without noise reads the
+    same at rest, and then moves off.
     """
     again = repeating(samples.xyz)
     if not again.any():
