@@ -37,7 +37,7 @@ LEAST_PIECES = 12
 MOST_PIECES = 200
 """Pieces that are enough: a delay is then known to a small part of a sample."""
 
-MEANS = (1, 2, 4, 8)
+MEANS = (1, 2, 4, 8, 16)
 """Samples that are read as one, the fewest of which show enough motion: from sample to sample a smooth hand
 moves a sensor by less than its noise at 100 Hz and more."""
 
@@ -112,17 +112,29 @@ def late(own: Samples, true: Samples, sensor: str) -> Late | None:
     """Return by how much `own` reads later than `true`, at the same stamps; None with too little motion.
 
     Least squares of the difference of the readings on what scale and misalignment do, and on the rate of
-    change. The error is that of leaving pieces out.
+    change, about the delay that fits best of those that longer means show: a vibration fits as well a whole
+    period later. The error is that of leaving pieces out.
     """
+    told = []
     for size in MEANS:
-        coarser = _means(true, size)
-        every = (_moving(coarser, length) for length in PIECES)
-        pieces = next((pieces for pieces in every if len(pieces) >= LEAST_PIECES), None)
-        if pieces is not None:
-            found = _late(_means(own, size), coarser, sensor, pieces)
-            whole = [slice(size * p.start, size * p.stop) for p in pieces]
-            return None if found is None else replace(found, pieces=whole)
-    return None
+        both = _means(own, size), _means(true, size)
+        every = (_moving(both[1], length) for length in PIECES)
+        if (pieces := next((pieces for pieces in every if len(pieces) >= LEAST_PIECES), None)) is not None:
+            told.append((size, both, pieces))
+    if not told:
+        return None
+    coarser = [_late(*both, sensor, pieces, 0.0) for _, both, pieces in told[1:]]
+    size, both, pieces = told[0]
+    starts = [0.0, *(one.delay.value for one in coarser if one is not None)]
+    found = _late(*both, sensor, pieces, min(starts, key=lambda start: _left(*both, pieces, start)))
+    whole = [slice(size * p.start, size * p.stop) for p in pieces]
+    return None if found is None else replace(found, pieces=whole)
+
+
+def _left(own: Samples, true: Samples, pieces: list[slice], delay: float) -> float:
+    """Return the sum of squares that a delay, s, and the gains that fit best with it leave."""
+    about = linear_in_motion(own, read_later(true, delay), pieces).through(COMMON)
+    return float(about.left(about.fitted()).sum())
 
 
 def _means(samples: Samples, size: int) -> Samples:
@@ -134,9 +146,9 @@ def _means(samples: Samples, size: int) -> Samples:
     return Samples(samples.sensor, t.reshape(-1, size).mean(axis=1), xyz.reshape(-1, size, 3).mean(axis=1))
 
 
-def _late(own: Samples, true: Samples, sensor: str, pieces: list[slice]) -> Late | None:
-    """Return what `late` does, of samples that move enough in `pieces`."""
-    total, error = 0.0, 0.0
+def _late(own: Samples, true: Samples, sensor: str, pieces: list[slice], start: float) -> Late | None:
+    """Return what `late` does, of samples that move enough in `pieces`. start: s, near the delay."""
+    total, error = start, 0.0
     for _ in range(LINEARISED):
         common = linear_in_motion(own, read_later(true, total), pieces).through(COMMON)
         if np.linalg.cond(common.information.sum(axis=0)) > SINGULAR:

@@ -52,6 +52,25 @@ def test_a_delay_is_measured_beside_a_wrong_scale_and_taken_out(delay: float) ->
     assert left is not None and abs(left.delay.value) < 1e-4
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.015, -0.022])
+def test_a_motor_that_turns_twice_in_a_delay_hides_none_of_it(delay: float) -> None:
+    """Of 15 ms, two turns and a quarter of 150 Hz, the first that fits was told: 1.6 ms."""
+    at, rng = np.arange(0.0, 120.0, 0.002), np.random.default_rng(3)
+    hum = np.cumsum(rng.normal(0.0, 0.2, at.size))  # rad, by which a motor is ahead of 150 Hz
+
+    def read(late_by: float) -> Samples:
+        t = at - late_by
+        flown = np.stack([np.sin(2.9 * t + a) + 0.4 * np.sin(7.3 * t - a) for a in range(3)], axis=1)
+        motor = np.sin(2.0 * np.pi * 150.0 * t + np.interp(t, at, hum))
+        noise = rng.normal(0.0, 5e-4, flown.shape)
+        return Samples(
+            Sensor.GYROSCOPE, frozen(at), frozen(0.2 * flown + np.outer(motor, [0.05, -0.04, 0.02]) + noise)
+        )
+
+    found = late(read(delay), read(0.0), "gyro")
+    assert found is not None and found.delay.value == pytest.approx(delay, abs=5e-4)
+
+
 def test_without_a_delay_nothing_is_said_and_nothing_moved() -> None:
     true = shaken()
     found = late(shaken(0.0, 2), true, "gyro")
