@@ -66,6 +66,12 @@ UNSTEADY = 2.0
 QUIETEST = 0.1
 """Part of the rests that has no more than the sensor's own noise, and that may be louder."""
 
+ABOUT, OUTSTANDING = 8, 4.0
+"""Neighbours on either side of a frequency, and standard errors of a logarithm by which it stands out."""
+
+FEW_PEAKS = 0.2
+"""Part of a band that may stand out of it."""
+
 LOBE = 2.0
 """Frequencies of a spectrum on either side of a line that a Hann window spreads it over."""
 
@@ -219,7 +225,8 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
     def fitted(pieces: NDArray[np.bool_]) -> LowPass | None:
         typical, noise = np.median(power[pieces], axis=0), (still.rate, floor)
         of_all = float(averages[pieces].sum())
-        return _of_some_axes(f, typical, band, noise, of_all) or _low_pass(f, typical, band, noise, of_all)
+        clear = band & ~_peaks(typical, band, of_all)
+        return _of_some_axes(f, typical, clear, noise, of_all) or _low_pass(f, typical, clear, noise, of_all)
 
     own = quietest(power[:, band], averages)
     low_pass = fitted(own)
@@ -231,6 +238,22 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
     if low_pass is not None and low_pass.cutoff.value > thresholds.BANDWIDTH_LIMIT * still.rate:
         low_pass, wide = None, low_pass
     return Spectra(times, f, power, averages, band, still.rate, low_pass, wide)
+
+
+def _peaks(typical: Array, band: NDArray[np.bool_], averages: float) -> NDArray[np.bool_]:
+    """Return which frequencies (F,) stand out of their neighbours, as those of an engine that idles do.
+
+    It is no line, and no filter makes it: beside it the filter can be fitted, where it is a small part of the
+    band. typical: (F, k); averages: of so many independent spectra.
+    """
+    at = np.flatnonzero(band)
+    logs = np.log(np.maximum(typical[at], np.finfo(np.float64).tiny)).mean(axis=1)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(logs, ABOUT, mode="reflect"), 2 * ABOUT + 1)
+    above = logs - np.median(around, axis=1) > OUTSTANDING * np.sqrt(_by_chance(averages))
+    out = np.zeros(band.size, dtype=np.bool_)
+    for k in at[above]:
+        out[max(k - int(LOBE), 0) : k + int(LOBE) + 1] = True
+    return out if (out & band).sum() <= FEW_PEAKS * at.size else np.zeros_like(out)
 
 
 def quietest(power: Array, averages: Array) -> NDArray[np.bool_]:

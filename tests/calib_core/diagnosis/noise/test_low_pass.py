@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import butter, firwin, lfilter
+from scipy.signal import butter, firwin, lfilter, sosfilt
 
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Where
@@ -39,6 +39,17 @@ def test_an_exponential_average_is_a_low_pass(cutoff: float) -> None:
     found = judged(quiet(averaged(cutoff)))
     assert found is not None and found.low_pass is not None and found.low_pass.order == 1
     assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
+
+
+@pytest.mark.parametrize("cutoff", [8.0, None])
+def test_an_engine_that_idles_hides_no_low_pass_and_is_none(cutoff: float | None) -> None:
+    """Its peak, 0.6 Hz wide, is no line; beside it "the noise is not white" was all that was said."""
+    pieces = WHITE if cutoff is None else averaged(cutoff)
+    idling = sosfilt(butter(3, [23.7, 24.3], "band", fs=RATE, output="sos"), WHITE[::-1], axis=1)
+    found = judged(quiet(pieces + 5.0 * idling * [1.0, 0.5, 2.0]))
+    assert found is not None and (found.low_pass is None) == (cutoff is None)
+    if found.low_pass is not None:
+        assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
 
 
 @pytest.mark.parametrize(("still", "stated"), [(slice(0, 4), True), (slice(0, 18), False)])
