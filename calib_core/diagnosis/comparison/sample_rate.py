@@ -25,9 +25,10 @@ LEAST_RATE_ERROR = 1e-6
 def of_both(samples: Sequence[Samples]) -> list[Quantity]:
     """Return the rates of two recordings, counted alike in both.
 
-    Samples that are missing count, for they were measured, unless one of the two does not tell how many are.
+    Samples that are missing count, for they were measured, unless one of the two does not tell how many are,
+    as stamps in bursts do not.
     """
-    told = all(grid is None or grid.told for grid in map(_grid, samples))
+    told = all(grid is not None and grid.told for grid in map(_grid, samples))
     return [rate(one, missing=told) for one in samples]
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from stillcal.calib_core.diagnosis.comparison.sample_rate import of_both
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
+from stillcal.calib_core.diagnosis.segments.sample_period import bunched
 from stillcal.calib_core.streams.samples import Samples, Sensor
 
 RATE, COUNT = 50.0, 6000
@@ -29,3 +30,17 @@ def test_missing_samples_count_in_both_or_in_neither() -> None:
     assert one == pytest.approx(0.75 * RATE, rel=0.02) and other == pytest.approx(one, rel=0.02)
     both = [float(np.exp(q.value[0])) for q in of_both([sharp, with_lost(0.01, 3)])]
     assert both == pytest.approx([RATE, RATE], rel=1e-3)
+
+
+def test_missing_samples_count_in_neither_beside_stamps_in_bursts() -> None:
+    """Of both, 3 % are missing: the one without bursts was 3 % faster than the other."""
+    rng = np.random.default_rng(0)
+    found = []
+    for together in (6, 1):
+        number = np.arange(COUNT)
+        last = number // together * together + together - 1
+        ready = (last + 0.2 * rng.uniform(size=COUNT)[last % COUNT]) / RATE
+        t = (ready - 3e-4 * (last - number))[rng.uniform(size=COUNT) > 0.03]
+        found.append(Samples(Sensor.ACCELEROMETER, t, rng.normal([0.0, 0.0, 9.8], 0.01, (t.size, 3))))
+    assert [bunched(one.t) for one in found] == [True, False]
+    assert [float(np.exp(q.value[0])) for q in of_both(found)] == pytest.approx([0.97 * RATE] * 2, rel=5e-3)
