@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stillcal.calib_core.diagnosis.comparison.sample_rate import of_both
+from stillcal.calib_core.diagnosis.comparison.sample_rate import PIECES, of_both
 from stillcal.calib_core.diagnosis.direct.quantities import grid_of
 from stillcal.calib_core.diagnosis.segments.sample_period import bunched
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -44,3 +44,15 @@ def test_missing_samples_count_in_neither_beside_stamps_in_bursts() -> None:
         found.append(Samples(Sensor.ACCELEROMETER, t, rng.normal([0.0, 0.0, 9.8], 0.01, (t.size, 3))))
     assert [bunched(one.t) for one in found] == [True, False]
     assert [float(np.exp(q.value[0])) for q in of_both(found)] == pytest.approx([0.97 * RATE] * 2, rel=5e-3)
+
+
+def test_a_rate_that_goes_up_and_down_is_less_sure() -> None:
+    """Another recording may have more of the fast minutes."""
+    rng = np.random.default_rng(0)
+    fast = np.repeat([0.0, 1.0, 0.0, 1.0, 1.0], COUNT // 5)
+    t = np.cumsum(1.0 + 1e-4 * fast) / RATE + rng.normal(0.0, 1e-4, COUNT)
+    samples = Samples(Sensor.ACCELEROMETER, t, rng.normal([0.0, 0.0, 9.8], 0.01, (COUNT, 3)))
+    grid = grid_of(samples)
+    assert grid is not None
+    (found, _), by_itself = of_both([samples, samples]), grid.mean_rate(PIECES, 0.0)[0]
+    assert np.sqrt(found.covariance[0, 0]) > 2.0 * by_itself.error

@@ -131,12 +131,17 @@ def test_pieces_that_are_alike_for_a_while_leave_a_mean_less_sure() -> None:
     seldom = pieces + 9.0 * (np.arange(40) == 20)
     assert mean_in_time(seldom).value == pytest.approx(1.0, abs=0.1)
     assert mean_in_time(seldom).error > 5.0 * mean_of(seldom).error
+    evenly = pieces + 9.0 * (np.arange(40) % 8 == 3)
+    assert mean_in_time(evenly).value == pytest.approx(1.0, abs=0.1)
+    assert mean_in_time(evenly).error > 20.0 * mean_of(evenly).error
 
 
 def test_the_error_of_a_mean_in_time_is_that_of_independent_pieces_where_they_are() -> None:
     draws = np.random.default_rng(1).normal(size=(400, 40))
     apart = np.array([m.value / m.error for m in map(mean_in_time, draws)])
     assert np.mean(np.abs(apart) < 1.96) == pytest.approx(0.95, abs=0.03)
+    larger = [mean_in_time(d).error > max(mean_of(d).error, d.std(ddof=1) / np.sqrt(40.0)) for d in draws]
+    assert np.mean(larger) == pytest.approx(0.05, abs=0.03)
 
 
 def test_hits_that_come_and_go_leave_a_share_less_sure() -> None:
