@@ -129,11 +129,13 @@ def keeps_to(values: Array, step: float) -> bool:
     """Whether most changes from one value (n,) to the next are whole steps (unit).
 
     So they are where codes were rounded a second time, though no grid holds them all. With a step half as
-    large, half of the changes are.
+    large, half of the changes are; with one twice as large all are, but none is of one step.
     """
     changes = np.abs(np.diff(_thinned(values))) / step
     changes = changes[changes > OFF]
-    return bool(changes.size and np.mean(np.abs(changes - np.rint(changes)) < OFF) > MOST)
+    if not changes.size or changes.min() > 1.5:
+        return False
+    return bool(np.mean(np.abs(changes - np.rint(changes)) < OFF) > MOST)
 
 
 def rounding_error(mean: Array, variance: Array, step: Array) -> Array:

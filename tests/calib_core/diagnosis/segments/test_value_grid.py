@@ -93,3 +93,6 @@ def test_changes_tell_a_step_though_no_grid_holds_all_values() -> None:
     assert keeps_to(np.where(codes < 2.0, codes, codes - 1.0 / 3.0), 1.0)
     assert not keeps_to(values, 1.0) and not keeps_to(np.rint(2.0 * values) / 2.0, 1.0)
     assert not keeps_to(np.zeros(100), 1.0)
+    assert not keeps_to(2.0 * codes, 1.0) and not keeps_to(3.0 * codes, 1.0), "a step that is coarser"
+    halves = np.rint(2.0 * np.random.default_rng(1).normal(0.0, 0.2, 4000)) / 2.0
+    assert not keeps_to(halves, 1.0), "a finer one, of quiet values"
