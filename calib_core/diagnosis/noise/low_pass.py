@@ -67,7 +67,7 @@ QUIETEST = 0.1
 """Part of the rests that has no more than the sensor's own noise, and that may be louder."""
 
 ABOUT, OUTSTANDING = 8, 4.0
-"""Neighbours on either side of a frequency, and standard errors of a logarithm by which it stands out."""
+"""Half of how many frequencies one is held against, and standard errors of a logarithm it stands out by."""
 
 FEW_PEAKS = 0.2
 """Part of a band that may stand out of it."""
@@ -176,7 +176,9 @@ def may_be_behind(spectrum: Spectra, found: LowPass, axes: Sequence[int]) -> boo
     """Whether noise behind a low-pass, found elsewhere, fits some axes as well as white noise does."""
     band = spectrum.band
     typical = np.median(spectrum.power[quietest(spectrum.power[:, band], spectrum.averages)], axis=0)
-    power, _ = _of_most_axes(typical[:, list(axes)], band, float(spectrum.averages.sum()))
+    of_all = float(spectrum.averages.sum())
+    band = band & ~_peaks(typical, band, of_all)
+    power, _ = _of_most_axes(typical[:, list(axes)], band, of_all)
     logs = np.log(np.maximum(power[band], np.finfo(np.float64).tiny))
     reach = NORMAL_95 * found.cutoff.error
     cutoffs = found.cutoff.value + np.linspace(-reach, reach, NEAR)
@@ -241,15 +243,18 @@ def judged(still: Quiet, floor: float = 0.0) -> Spectra | None:
 
 
 def _peaks(typical: Array, band: NDArray[np.bool_], averages: float) -> NDArray[np.bool_]:
-    """Return which frequencies (F,) stand out of their neighbours, as those of an engine that idles do.
+    """Return which frequencies (F,) stand out of those next to them, as those of an engine or of a hand do.
 
-    It is no line, and no filter makes it: beside it the filter can be fitted, where it is a small part of the
-    band. typical: (F, k); averages: of so many independent spectra.
+    They are no line, and no filter makes them: beside them the filter can be fitted, where they are a small
+    part of the band. typical: (F, k); averages: of so many independent spectra.
     """
     at = np.flatnonzero(band)
+    if at.size < 4 * ABOUT:
+        return np.zeros_like(band)
     logs = np.log(np.maximum(typical[at], np.finfo(np.float64).tiny)).mean(axis=1)
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(logs, ABOUT, mode="reflect"), 2 * ABOUT + 1)
-    above = logs - np.median(around, axis=1) > OUTSTANDING * np.sqrt(_by_chance(averages))
+    next_to = np.median(np.lib.stride_tricks.sliding_window_view(logs, 2 * ABOUT + 1), axis=1)
+    nearest = np.clip(np.arange(logs.size) - ABOUT, 0, next_to.size - 1)
+    above = logs - next_to[nearest] > OUTSTANDING * np.sqrt(_by_chance(averages))
     out = np.zeros(band.size, dtype=np.bool_)
     for k in at[above]:
         out[max(k - int(LOBE), 0) : k + int(LOBE) + 1] = True

@@ -265,7 +265,8 @@ def _of_whom(one: Discrepancy, recorded: Quantity | None, simulated: Quantity | 
     apart = one.difference
     assert apart is not None, "it stands beside what each has"
     nats = np.array([_nats_of_having(recorded, apart.value), _nats_of_having(simulated, -apart.value)])
-    of_recording, of_simulation = shares_alone(nats)
+    # What the motion leaves open it leaves open in both: two that agree are no more than one.
+    of_recording, of_simulation = shares_alone(nats / max(np.count_nonzero(nats), 1))
     if of_simulation >= CERTAIN:
         return _of_simulation(one)
     shown = simulated or recorded

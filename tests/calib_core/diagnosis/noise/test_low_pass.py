@@ -13,7 +13,14 @@ from scipy.signal import butter, firwin, lfilter, sosfilt
 from stillcal.calib_core.diagnosis.direct.quantisation import Steps
 from stillcal.calib_core.diagnosis.model.records import Where
 from stillcal.calib_core.diagnosis.model.sound_phones import sound_phones
-from stillcal.calib_core.diagnosis.noise.low_pass import OF_MEDIAN, Quiet, _of_most_axes, bandwidth, judged
+from stillcal.calib_core.diagnosis.noise.low_pass import (
+    OF_MEDIAN,
+    Quiet,
+    _of_most_axes,
+    bandwidth,
+    judged,
+    may_be_behind,
+)
 from stillcal.calib_core.diagnosis.noise.low_pass import quiet as quiet_of
 from stillcal.calib_core.diagnosis.stream import _noise_of
 from stillcal.calib_core.streams.samples import Samples, Sensor
@@ -50,6 +57,20 @@ def test_an_engine_that_idles_hides_no_low_pass_and_is_none(cutoff: float | None
     assert found is not None and (found.low_pass is None) == (cutoff is None)
     if found.low_pass is not None:
         assert found.low_pass.cutoff.value == pytest.approx(cutoff, rel=0.1)
+
+
+def test_a_wrist_that_trembles_below_three_hz_hides_neither_a_low_pass_nor_that_there_is_none() -> None:
+    """What one watch alone had was not compared: the other's noise "may be behind it as well"."""
+    slow = sosfilt(butter(6, 2.8, fs=RATE, output="sos"), WHITE[::-1], axis=1)
+    behind, white = (judged(quiet(pieces + 10.0 * slow)) for pieces in (averaged(8.0), WHITE))
+    assert behind is not None and white is not None
+    assert behind.low_pass is not None and white.low_pass is None
+    assert behind.low_pass.cutoff.value == pytest.approx(8.0, rel=0.1)
+    for cutoff in (8.0, 20.0):
+        plain = judged(quiet(averaged(cutoff)))
+        assert plain is not None and plain.low_pass is not None
+        assert not may_be_behind(white, plain.low_pass, range(3))
+    assert may_be_behind(behind, behind.low_pass, range(3))
 
 
 @pytest.mark.parametrize(("still", "stated"), [(slice(0, 4), True), (slice(0, 18), False)])

@@ -26,6 +26,7 @@ def delay(value: float, error: float) -> Quantity:
     [
         (None, None, "lacking", True),
         ((LATE, 8e-3), (0.0, 8e-3), "lacking", True),
+        ((0.0, 5e-3), (-LATE, 5e-3), "lacking", True),
         ((LATE, 2e-3), None, "lacking", False),
         ((LATE, 2e-3), (0.0, 2e-3), "lacking", False),
         ((0.0, 2e-3), None, "superfluous", False),
