@@ -201,6 +201,7 @@ def _equation(finding: Mapping[str, Any]) -> str:
         code = f'<pre class="equation">{escape(finding["numpy"])}</pre>'
         whose = "simulation" if finding["relation"] == "superfluous" else "recording"
         title = f"NumPy function that takes it out of the {whose}'s samples"
+        title += ", if it is there" if "of_either" in finding else ""
         text += f"<details><summary>{title}</summary>{code}</details>"
     return text
 

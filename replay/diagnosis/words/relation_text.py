@@ -256,7 +256,7 @@ def _statement(finding: Mapping[str, Any], names: tuple[str, str], observed: str
         return _nameless(finding, recording, simulation, observed)
     if finding.get("of_either"):
         differ = f"{recording} and {simulation} differ by the {what}: {_every(finding, 'parameters')}."
-        return f"{differ} {OF_EITHER}"
+        return f"{differ} {OF_EITHER} Added to {simulation}, it makes both agree."
     if relation == "lacking" and finding["effect"] in CONSTANTS:
         by = _every(finding, "difference")
         return f"The {what} of {recording} differs from that of {simulation} by {by}. Add it."

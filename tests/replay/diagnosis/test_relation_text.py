@@ -26,8 +26,13 @@ from stillcal.replay.diagnosis.words.names import BUILT_IN
 from stillcal.replay.diagnosis.words.relation_text import shown_of, statement, told_of_sensor, with_interval
 
 
-def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], list[Any], str]) -> str:
-    """Return the statement of parts given as recorded, simulated, unit, each with an interval of a tenth."""
+def told(
+    effect: str, relation: str, axes: list[str], *, either: bool = False, **parts: tuple[Any, Any, str]
+) -> str:
+    """Return the statement of parts given as recorded, simulated, unit, each with an interval of a tenth.
+
+    either: whether it is not known which of the two has it.
+    """
 
     def parameter(value: Any, unit: str) -> dict[str, Any]:
         value = np.asarray(value, dtype=np.float64)
@@ -44,8 +49,15 @@ def told(effect: str, relation: str, axes: list[str], **parts: tuple[list[Any], 
         "parameters": {k: parameter(r, u) for k, (r, s, u) in parts.items()},
         "simulated": {k: parameter(s, u) for k, (r, s, u) in parts.items()},
         "difference": {k: parameter(np.subtract(r, s), u) for k, (r, s, u) in parts.items()},
+        **({"of_either": True} if either else {}),
     }
     return statement(finding, ("real.csv", "sim.csv"))
+
+
+def test_of_what_may_be_of_either_it_is_said_how_to_make_both_agree() -> None:
+    text = told("accel_gyro_time_offset", "lacking", [], either=True, delay=(0.012, 0.0, "s"))
+    assert text.startswith("real.csv and sim.csv differ by the delay between the sensors: 12.0")
+    assert text.endswith("clearly more than the other. Added to sim.csv, it makes both agree.")
 
 
 @pytest.mark.parametrize(
