@@ -145,6 +145,7 @@ def test_an_arm_that_the_simulation_alone_states_is_its_own(own: tuple[bool, boo
     found = Comparison([replace(sole_discrepancy((said, True), 0.97), difference=apart)])
     (one,) = with_owner_of_unknown(found, alone, *exams).discrepancies
     assert one.relation == relation and one.difference is not None
+    assert one.of_either == (own == (False, False))
     if relation == "superfluous":
         assert one.difference.simulated.value == pytest.approx([0.03, 0.0, 0.0])
         assert not one.difference.recorded.value.any()

@@ -84,9 +84,12 @@ def with_owner_of_unknown(
             beside = [s for s in exam.statements if s is not said]
             alone = [0.0 if said is None else _shown_at_rest(said, beside, e) for e in (recorded, simulated)]
             one = _owned(one, said, np.array(alone))  # noqa: PLW2901 - it is the same difference
-        elif one.effect == Arm.name and (had := _stated(simulated, one.effect)) is not None:
-            both = _stated(recorded, one.effect) is not None
-            one = _of_both(one, had) if both else _of_simulation(one)  # noqa: PLW2901 - as above
+        elif one.effect == Arm.name:
+            has, had = (_stated(alone, one.effect) for alone in (recorded, simulated))
+            if had is not None:
+                one = _of_simulation(one) if has is None else _of_both(one, had)  # noqa: PLW2901 - as above
+            elif has is None:
+                one = replace(one, of_either=True)  # noqa: PLW2901 - as above
         out.append(one)
     return replace(found, discrepancies=out)
 
@@ -242,9 +245,10 @@ def _standing(
         return one
     had = _own_of(apart, own)
     if had is None or not had.shows():
-        # Every sensor has a bias and a scale: a difference of those is of both, whoever is asked.
-        constant = one.effect in (f"{one.sensor}_bias", f"{one.sensor}_scale")
-        return one if constant else _of_whom(one, _own_of(apart, others), had)
+        # Every sensor has a bias and a scale: a difference of those is of both, whoever is asked. Whose an
+        # arm is, what each states by itself tells.
+        told_otherwise = one.effect in (f"{one.sensor}_bias", f"{one.sensor}_scale", Arm.name)
+        return one if told_otherwise else _of_whom(one, _own_of(apart, others), had)
     value = had.value
     both = _scaled(value, apart.value) if one.effect.endswith("_scale") else value + apart.value
     more = replace(had, value=both, covariance=had.covariance + apart.covariance)
