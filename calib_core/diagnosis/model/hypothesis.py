@@ -27,7 +27,8 @@ class SensorResiduals:
     rests. covariates: further logged columns by name. shared: what all views see together whatever effect
     there is (the Earth's rate, of the gyroscope); None for nothing. sensed: (n, 3) m/s^2, gravity along the
     sensor's own axes, as their scale and misalignment read it; None where these are the body's. force_powers:
-    means (n, 3) of powers of the force by exponent, where bins hold motion.
+    means (n, 3) of powers of the force by exponent, where bins hold motion. unsure: (3,) up to what sd means
+    in motion may differ by what was put on two sensors to make them comparable; None for nothing.
     """
 
     sensor: str
@@ -40,6 +41,7 @@ class SensorResiduals:
     shared: Hypothesis | None = None
     sensed: Array | None = None
     force_powers: Mapping[int, Array] = field(default_factory=dict)
+    unsure: Array | None = None
 
     @cached_property
     def moments(self) -> Moments:

@@ -3,38 +3,77 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from stillcal.calib_core.arrays import Array
 from stillcal.calib_core.diagnosis.comparison.pair.samples_apart.vibrations import shared_streams
 from stillcal.calib_core.diagnosis.comparison.quantity import Difference, Quantity
 from stillcal.calib_core.diagnosis.direct.repeated_values import held_rows
 from stillcal.calib_core.diagnosis.examination import Examination
+from stillcal.calib_core.diagnosis.model.measurement import NORMAL_95
 from stillcal.calib_core.diagnosis.motion.group_delay import UNSURE
 from stillcal.calib_core.diagnosis.segments.sample_period import sample_period
 from stillcal.calib_core.streams.samples import Samples
 from stillcal.replay.diagnosis.sample_changes import clipped, low_passed
 from stillcal.replay.formats.trace import Recording
 
+MEAN_S, OFTEN = 5.0, 0.9
+"""s of the means of which it is asked what a low-pass leaves unsure, and their quantile: many are at rest."""
+
 NYQUIST = 0.49
 """Part of the sample rate above which no filter has a cutoff."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class AsBoth:
+    """Two recordings with limits and low-passes of both, without held samples, so that the rest is judged.
+
+    late: s, the standard error of what the low-passes delay; left: by sensor, up to what sd (3,) means in
+    motion may differ by what their cutoffs are not known by.
+    """
+
+    recording: Recording
+    simulation: Recording
+    late: float
+    left: Mapping[str, Array]
+
+
 def as_both(
     both: tuple[Recording, Recording], exams: Sequence[Examination], low_passes: Sequence[Difference]
-) -> tuple[Recording, Recording, float]:
-    """Return both with limits and low-passes of both, without held samples, so that the rest can be judged.
-
-    low_passes: those that differ. The third is the standard error, s, of what these delay.
-    """
+) -> AsBoth:
+    """Make two recordings comparable. low_passes: those that differ."""
     limits = _limits(exams)
-    own = _filtered(_limited(both[0], limits), [d.simulated for d in low_passes])
-    other = _filtered(_limited(both[1], limits), [d.recorded for d in low_passes])
+    limited = _limited(both[0], limits), _limited(both[1], limits)
+    own = _filtered(limited[0], [d.simulated for d in low_passes])
+    other = _filtered(limited[1], [d.recorded for d in low_passes])
     rate = 1.0 / sample_period(both[0].accelerometer.t)
-    unsure = [unsure_delay(q, rate) for d in low_passes for q in (d.recorded, d.simulated) if not q.none]
-    return *without_held_rows(own, other), max(unsure, default=0.0)
+    late = [unsure_delay(q, rate) for d in low_passes for q in (d.recorded, d.simulated) if not q.none]
+    return AsBoth(*without_held_rows(own, other), max(late, default=0.0), _left(limited, low_passes))
+
+
+def _left(both: tuple[Recording, Recording], low_passes: Sequence[Difference]) -> dict[str, Array]:
+    """Return, by sensor, up to what sd (3,) means in motion differ by what cutoffs are not known by."""
+    out: dict[str, Array] = {}
+    for one in low_passes:
+        for recording, found in zip(both, (one.simulated, one.recorded), strict=True):
+            samples = recording.accelerometer if found.sensor == "accel" else recording.gyroscope
+            if found.none or samples is None:
+                continue
+            unsure = replace(found, value=found.value + NORMAL_95 * found.sigma)
+            apart = low_passed(samples, unsure).xyz - low_passed(samples, found).xyz
+            means = _means(apart, max(round(MEAN_S / sample_period(samples.t)), 1))
+            sd = np.sqrt(np.quantile(means**2, OFTEN, axis=0))
+            out[found.sensor] = np.hypot(out.get(found.sensor, np.zeros(3)), sd)
+    return out
+
+
+def _means(xyz: Array, size: int) -> Array:
+    """Return the means (k, 3) of every `size` of some values (n, 3), of all where they are fewer."""
+    size = min(size, len(xyz))
+    return np.asarray(xyz[: len(xyz) // size * size].reshape(-1, size, 3).mean(axis=1))
 
 
 def unsure_delay(low_pass: Quantity, rate: float) -> float:

@@ -127,13 +127,16 @@ def _judged(pair: _Pair, show_stage: ShowStage) -> Judged:
     recording, simulation = pair.recording, pair.simulation
     recorded, simulated = pair.exams
     low_passes = [d.difference for d in pair.values.discrepancies if d.difference and d.effect == LOW_PASS]
-    own, other, unsure = as_both((recording, simulation), pair.exams, low_passes)
+    both = as_both((recording, simulation), pair.exams, low_passes)
+    own, other = both.recording, both.simulation
     refuse_shifted(own, other)
-    known = pair.known(unsure)
+    known = pair.known(both.late)
     motion = align(readings_of(own), readings_of(other), known)
     true = motion.readings
     apart, charging = less(own, true), charging_events(recording)
-    bins, sensors = pair_residuals(apart, true, charging, 0.0, motion.added, rounding=known.rounding)
+    bins, sensors = pair_residuals(
+        apart, true, charging, 0.0, motion.added, rounding=known.rounding, unsure=both.left
+    )
     exam = examined_in_pair(recorded, bins, sensors, motion.found, lambda done: show_stage(READINGS, done))
     slow = with_own_of_simulation(compare_in_pair(exam, motion), exam, pair.exams, pair.names)
     slow = with_owner_of_unknown(slow, exam, recorded, simulated)

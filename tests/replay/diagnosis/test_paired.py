@@ -16,7 +16,7 @@ from stillcal.calib_core.diagnosis.comparison.pair import compare
 from stillcal.calib_core.diagnosis.comparison.pair.measured import Alone, each_alone
 from stillcal.calib_core.diagnosis.comparison.pair.mounting import shared_as_it_is
 from stillcal.calib_core.diagnosis.comparison.pair.pair_residuals import pair_residuals
-from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity
+from stillcal.calib_core.diagnosis.comparison.quantity import Part, Quantity, subtract
 from stillcal.calib_core.diagnosis.effects.temperature import BiasTemperature
 from stillcal.calib_core.diagnosis.examination import Examination
 from stillcal.calib_core.diagnosis.inference.likelihood import fit_hypothesis, reduce_residuals
@@ -24,7 +24,8 @@ from stillcal.calib_core.diagnosis.model.hypothesis import SensorResiduals
 from stillcal.calib_core.errors import NotSupported, UserError
 from stillcal.calib_core.streams.resample import read_later, temperature_at
 from stillcal.calib_core.streams.samples import Samples, Sensor
-from stillcal.replay.diagnosis.pair.as_both import unsure_delay
+from stillcal.replay.diagnosis.judged import examined
+from stillcal.replay.diagnosis.pair.as_both import MEAN_S, as_both, unsure_delay
 from stillcal.replay.diagnosis.pair.paired import judge_paired
 from stillcal.replay.diagnosis.pair.readings import (
     less,
@@ -496,6 +497,22 @@ def test_what_a_low_pass_delays_is_as_unsure_as_digital_and_analogue_ones_differ
     one = Quantity("bandwidth", "accel", part, np.log([12.0]), np.eye(1), np.ones(1), np.ones(1),
                    np.zeros(1, dtype=int), reference={"order": 2.0}, logarithmic=True)  # fmt: skip
     assert least < unsure_delay(one, rate) < 1.2 * least
+
+
+def test_what_a_cutoff_is_not_known_by_is_left_in_means_of_motion() -> None:
+    """Beside a low-pass of 9.8 Hz, known by 2 %, 0.04 mg of a wrist's motion were "something unknown"."""
+    both, part = (turned(1), turned(2)), (Part("cutoff", "Hz", 1),)
+    found = Quantity("bandwidth", "gyro", part, np.log([2.0]), np.array([[0.02**2]]), np.ones(1), np.ones(1),
+                     np.zeros(1, dtype=int), reference={"order": 1.0}, logarithmic=True)  # fmt: skip
+    exams = [examined(one, sought=()) for one in both]
+    behind = [replace(found, value=found.value + more) for more in (0.0, 0.04)]
+    made, off = (as_both(both, exams, [subtract(one, replace(one, none=True))]) for one in behind)
+    assert made.simulation.gyroscope is not None and off.simulation.gyroscope is not None
+    apart = off.simulation.gyroscope.xyz - made.simulation.gyroscope.xyz
+    size = int(MEAN_S * turned_pairs.RATE)
+    means = np.abs(apart[: len(apart) // size * size].reshape(-1, size, 3).mean(axis=1))
+    assert list(made.left) == ["gyro"]
+    assert made.left["gyro"] == pytest.approx(np.quantile(means, 0.9, axis=0), rel=0.1)
 
 
 @pytest.mark.parametrize("effect", ["bias", "scale"])

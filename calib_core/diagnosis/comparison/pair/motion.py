@@ -50,12 +50,9 @@ class Motion:
         """Return residuals whose bins in motion have this variance besides."""
         return with_excess(residuals, self.variance)
 
-    def beyond(self, rounding: Array) -> Motion:
-        """Return it on the axes where it is more than coarse steps leave in a mean, sd (3,).
-
-        They leave less in motion than at rest, but of a shaking that beats with the samples no less.
-        """
-        more = self.variance > rounding**2
+    def beyond(self, allowed: Array) -> Motion:
+        """Return it on the axes where it is more than what is allowed in a mean, sd (3,)."""
+        more = self.variance > allowed**2
         evidence = np.where(more, self.log_bayes_factors, np.minimum(self.log_bayes_factors, 0.0))
         return Motion(np.where(more, self.variance, 0.0), evidence)
 
@@ -63,7 +60,9 @@ class Motion:
         """Return what is left in motion as something unknown; None where chance or steps leave as much."""
         bins = residuals.bins
         rounding = bins.force_rounding if residuals.sensor == "accel" else bins.rate_rounding
-        own = self if rounding is None else self.beyond(rounding)
+        # Steps leave less in motion than at rest, but of a shaking that beats with the samples no less.
+        allowed = [sd for sd in (rounding, residuals.unsure) if sd is not None]
+        own = self.beyond(np.linalg.norm(allowed, axis=0)) if allowed else self
         if not own.variance.any():
             return None
         return direct_finding(

@@ -45,6 +45,7 @@ def pair_residuals(
     added: Readings | None = None,
     *,
     rounding: Mapping[str, Array] | None = None,
+    unsure: Mapping[str, Array] | None = None,
 ) -> tuple[Bins, list[SensorResiduals]]:
     """Return the bins of a whole recording and the residuals of each sensor.
 
@@ -54,7 +55,7 @@ def pair_residuals(
     where rests suffice. added: what effects of turns are of what the other reads; they are not exactly of
     their form. rounding: by sensor, the sd (3,) that coarse steps leave in a mean of what they differ by, the
     same in all of a rest (`_of_steps`). At rest both may read one code: no bin is known better for that than
-    if each sample had such an error of its own.
+    if each sample had such an error of its own. unsure: by sensor, as in `SensorResiduals`.
     Where the motion is the same (mismatch 0) the other may lack the Earth's rotation. Raises
     NotSupported where it is too short.
     """
@@ -81,7 +82,7 @@ def pair_residuals(
         rate = cut.views("gyro", (left.rate, left.rate_variance), true.rate, inputs)
         gyro = SensorResiduals("gyro", cut.bins, rate, STANDARD, up, force_powers=powers)
         sensors.append(gyro if mismatch else _with_earth(gyro, true.rate, moving == 0.0))
-    return cut.bins, sensors
+    return cut.bins, [replace(s, unsure=(unsure or {}).get(s.sensor)) for s in sensors]
 
 
 def _turned_in_motion(moved: Bins, still: NDArray[np.bool_]) -> Bins:

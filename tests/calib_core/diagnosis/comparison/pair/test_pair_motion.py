@@ -134,6 +134,8 @@ def test_more_than_coarse_steps_leave_is_found_on_its_axes() -> None:
     said = judged(accel).finding(replace(accel, bins=replace(accel.bins, force_rounding=limits)))
     assert said is not None
     assert said.axes == ["x", "z"]
+    of_filters = judged(accel).finding(replace(accel, unsure=limits))
+    assert of_filters is not None and said is not None and of_filters.axes == said.axes
     all_lower = replace(accel, bins=replace(accel.bins, force_rounding=2.0 * sizes))
     assert judged(accel).finding(all_lower) is None
 
